@@ -40,7 +40,17 @@ MESSAGE_MAX = 1500  # characters of an error
 GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
     "Start here": ("demo", "setup", "check-config", "run"),
     "See what it does": ("page", "status", "watch", "why", "plot"),
-    "Tell it what to do": ("reference", "mode", "fan", "controller", "manual", "ask", "confirm", "undo"),
+    "Tell it what to do": (
+        "reference",
+        "mode",
+        "fan",
+        "controller",
+        "manual",
+        "ask",
+        "confirm",
+        "discard",
+        "undo",
+    ),
     "Stop it": ("emergency-stop", "release", "maintenance", "clear-trip"),
     "Record and model your own greenhouse": (
         "commission",

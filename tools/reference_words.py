@@ -34,6 +34,7 @@ PAYLOADS = {  # MQTT command -> a payload that it takes
     "status": "PRESS",
     "ask": "keep 26 by day and 20 at night",
     "confirm": "ffe06e",
+    "discard": "ffe06e",
     "undo": "PRESS",
     "why": "",
 }

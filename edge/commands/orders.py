@@ -205,6 +205,7 @@ ORDERS: dict[str, tuple[str, str, Fill]] = {  # command -> request, help, argume
         _maintenance,
     ),
     "confirm": ("confirm", "apply a proposal of `greenhouse ask`", _proposal),
+    "discard": ("discard", "put a proposal of `greenhouse ask` away", _proposal),
     "undo": ("undo", "take back what was confirmed last", _nothing),
     "resend": ("resend", "publish recorded ticks over MQTT again", _resend),
 }

@@ -20,6 +20,7 @@ SEQ_MAX = 2**63 - 1  # SQLite's largest integer
 Seq = Annotated[int, Rule(low=1, high=SEQ_MAX)]
 NO_PRESET = "none"
 PRESS = "PRESS"  # what a Home Assistant button sends
+ON, OFF = "ON", "OFF"  # what its switches send
 _NUMBER = re.compile(r"-?[0-9]{1,12}(\.[0-9]{1,12})?")  # no "nan", no "1_0", no digits of other scripts
 
 
@@ -91,8 +92,24 @@ def _wish(text: str, reference: ReferenceSettings) -> Request:
     return {"do": "ask", "words": text}
 
 
-def _proposal(text: str, reference: ReferenceSettings) -> Request:
-    return {"do": "confirm", "id": text}
+def _stop(text: str, reference: ReferenceSettings) -> Request:
+    """`OFF` releases, so that one switch does both; `release_emergency_stop` does it too."""
+    _choice(text, (PRESS, ON, OFF))
+    return {"do": "emergency_stop"} if is_stop(text.encode()) else {"do": "release_emergency_stop"}
+
+
+def is_stop(payload: bytes) -> bool:
+    """Return whether a payload on the stop's topic asks for a stop; one that is not understood does."""
+    return payload != OFF.encode()
+
+
+def _on_proposal(do: str) -> Callable[[str, ReferenceSettings], Request]:
+    def parse_id(text: str, reference: ReferenceSettings) -> Request:
+        if not text:  # from the buttons of Home Assistant, see `discovery`
+            raise RequestError("no proposal is named: there is none, or it has changed this second; read it")
+        return {"do": do, "id": text}
+
+    return parse_id
 
 
 def _why(text: str, reference: ReferenceSettings) -> Request:
@@ -146,7 +163,7 @@ _PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
     "manual": _manual,
     "maintenance": _maintenance,
     "resend": _resend,
-    "emergency_stop": _press({"do": "emergency_stop"}),
+    "emergency_stop": _stop,
     "release_emergency_stop": _press({"do": "release_emergency_stop"}),
     "clear_trip": _press({"do": "clear_trip"}),
     "follow_schedule": _press({"do": "set_reference", "reference_c": None}),
@@ -154,7 +171,8 @@ _PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
     "end_commissioning": _press({"do": "commission", "end": True}),
     "status": _press({"do": "status"}),
     "ask": _wish,
-    "confirm": _proposal,
+    "confirm": _on_proposal("confirm"),
+    "discard": _on_proposal("discard"),
     "undo": _press({"do": "undo"}),
     "why": _why,
 }

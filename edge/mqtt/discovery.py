@@ -8,12 +8,12 @@ import math
 import re
 from typing import Any
 
-from edge.assistant.requests.desk import PROPOSAL_ID
 from edge.config.settings import Settings
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
 from edge.core.names import HEATER_LEVELS, SIGNALS, Signal
 from edge.core.version import __version__
-from edge.mqtt.commands import PRESS
+from edge.mqtt.commands import OFF, ON, PRESS
+from edge.mqtt.icons import icon_of
 from edge.mqtt.states import LINE_COUNTERS
 from edge.mqtt.topics import Topics
 from edge.tick.orders import FanMode
@@ -61,6 +61,9 @@ MAINTENANCE_MIN = 30  # what the switch asks for; it ends by itself
 EXPIRE_STEPS = 3  # values this many control steps old are shown as unavailable
 EXPIRE_MIN_S = 30
 ENTITY_TEXT_MAX = 255  # a state holds no more
+READ_S = 1  # a proposal younger than this cannot have been read
+RETIRED = {"confirm": "text"}  # components of older versions -> platform: Home Assistant removes them
+AVAILABLE, NOT_AVAILABLE = "online", "offline"
 
 
 def device(settings: Settings) -> Json:
@@ -75,10 +78,21 @@ def device(settings: Settings) -> Json:
             "sw_version": __version__,
         },
         "origin": {"name": "greenhouse-twin", "sw_version": __version__},
-        "availability_topic": topics.availability,
-        "payload_available": "online",
-        "payload_not_available": "offline",
-        "components": _components(settings, topics),
+        # A list, since a component's own list can replace it, and not a topic.
+        "availability": [_available(topics)],
+        "availability_mode": "all",
+        "components": {
+            **_components(settings, topics),
+            **{key: {"platform": platform} for key, platform in RETIRED.items()},
+        },
+    }
+
+
+def _available(topics: Topics) -> Json:
+    return {
+        "topic": topics.availability,
+        "payload_available": AVAILABLE,
+        "payload_not_available": NOT_AVAILABLE,
     }
 
 
@@ -91,6 +105,7 @@ def _components(settings: Settings, topics: Topics) -> Json:
             for key, sensor in {**_sensors(topics), **skill_sensors(topics)}.items()
         },
         {"controller": _controller_sensor(topics), "last_event": _event_sensor(topics)},
+        {"last_answer": _answer_sensor(topics)},
         {**_binary_sensors(topics), "twin_disagrees": _drift_sensor(topics)},
         _buttons(topics),
         _inputs(topics),
@@ -103,6 +118,7 @@ def _components(settings: Settings, topics: Topics) -> Json:
     return {
         key: {
             **component,
+            **icon_of(key, component),
             "unique_id": f"{rig}_{key}",
             "default_entity_id": f"{component['platform']}.{'_'.join([*slug, key])}",
             "qos": 1,  # at the root it reaches the entities in some versions only
@@ -217,6 +233,19 @@ def _event_sensor(topics: Topics) -> Json:
     }
 
 
+def _answer_sensor(topics: Topics) -> Json:
+    """Return the answer to the last order over MQTT, so that a refusal can be seen where it was given."""
+    refused = f"value_json.command ~ ': ' ~ value_json.get('error', 'refused')[:{ENTITY_TEXT_MAX - 45}]"
+    return {
+        "platform": "sensor",
+        "name": "Last answer",
+        "state_topic": topics.reply,
+        "value_template": f"{{{{ value_json.command ~ ': done' if value_json.ok else {refused} }}}}",
+        "json_attributes_topic": topics.reply,
+        "entity_category": "diagnostic",
+    }
+
+
 def _drift_sensor(topics: Topics) -> Json:
     """On while the running twin disagrees with the box, unknown while it is not judged."""
     states = "{'disagrees': 'ON', 'agrees': 'OFF'}"
@@ -240,7 +269,11 @@ def _binary_sensors(topics: Topics) -> dict[str, Json]:
         "tripped": _binary("Tripped", "tripped", "problem"),
         "problem": _binary("Problem", "problem", "problem"),
         "link": {**_binary("Board link", "link_up", "connectivity"), "entity_category": "diagnostic"},
-        "emergency": _binary("Emergency stop", "emergency_stop", "safety"),
+        # The switch has taken its place; automations of older versions may still watch it.
+        "emergency": {
+            **_binary("Emergency stop", "emergency_stop", "safety"),
+            "enabled_by_default": False,
+        },
     }
     return {key: {**sensor, "state_topic": topics.state} for key, sensor in sensors.items()}
 
@@ -258,6 +291,10 @@ def _binary(name: str, key: str, device_class: str) -> Json:
 
 
 def _buttons(topics: Topics) -> dict[str, Json]:
+    """Buttons; those of the emergency stop are left for automations of older versions.
+
+    `enabled_by_default` counts when Home Assistant meets an entity for the first time: one in use goes on.
+    """
     names = {
         "emergency_stop": "Emergency stop",
         "release_emergency_stop": "Release emergency stop",
@@ -270,6 +307,7 @@ def _buttons(topics: Topics) -> dict[str, Json]:
             "name": name,
             "command_topic": topics.command(what),
             "payload_press": PRESS,
+            "enabled_by_default": not what.endswith("emergency_stop"),
         }
         for what, name in names.items()
     }
@@ -277,6 +315,17 @@ def _buttons(topics: Topics) -> dict[str, Json]:
 
 def _inputs(topics: Topics) -> dict[str, Json]:
     return {
+        "stop": {
+            "platform": "switch",
+            "name": "Emergency stop",
+            "command_topic": topics.command("emergency_stop"),
+            "payload_on": ON,
+            "payload_off": OFF,
+            "state_topic": topics.state,
+            "value_template": _value("emergency_stop"),
+            "state_on": "1",
+            "state_off": "0",
+        },
         "maintenance": {
             "platform": "switch",
             "name": "Maintenance",
@@ -308,30 +357,27 @@ def _inputs(topics: Topics) -> dict[str, Json]:
 def _wishes(settings: Settings, topics: Topics) -> dict[str, Json]:
     """Entities for requests in words; without a language model they exist and are disabled.
 
-    A proposal is confirmed by typing its id, so that nobody confirms a proposal other than the one they read.
-    The texts have no `state_topic`: Home Assistant then shows what was typed last.
-    """
+    The text shows what was asked last, by whomever."""
     wishes: dict[str, Json] = {
         "ask": {
             "platform": "text",
             "name": "Ask",
             "command_topic": topics.command("ask"),
+            "state_topic": topics.proposal,
+            "value_template": f"{{{{ value_json.words[:{ENTITY_TEXT_MAX}] }}}}",
             "max": ENTITY_TEXT_MAX,
         },
         "proposal": {
             "platform": "sensor",
             "name": "Proposal",
             "state_topic": topics.proposal,
-            "value_template": _value("state"),
+            "value_template": f"{{{{ value_json.text[:{ENTITY_TEXT_MAX}] }}}}",
             "json_attributes_topic": topics.proposal,
+            # Home Assistant drops an attribute named `state`.
+            "json_attributes_template": "{{ dict(value_json, stage=value_json.state) | tojson }}",
         },
-        "confirm": {
-            "platform": "text",
-            "name": "Confirm proposal",
-            "command_topic": topics.command("confirm"),
-            "pattern": f"^{PROPOSAL_ID}$",
-            "max": ENTITY_TEXT_MAX,
-        },
+        "confirm_proposal": _about_proposal(topics, "confirm", "Confirm the proposal"),
+        "discard_proposal": _about_proposal(topics, "discard", "Discard the proposal"),
         "undo": {
             "platform": "button",
             "name": "Undo what was confirmed",
@@ -341,6 +387,37 @@ def _wishes(settings: Settings, topics: Topics) -> dict[str, Json]:
     }
     # Disabled rather than left out: what stands on a dashboard stays there.
     return {key: {**wish, "enabled_by_default": bool(settings.llm.url)} for key, wish in wishes.items()}
+
+
+def _about_proposal(topics: Topics, what: str, name: str) -> Json:
+    """Button that names the proposal which Home Assistant shows, and is there while one waits.
+
+    The id comes from the button's own attributes, so the daemon never guesses which proposal was meant: one
+    that has expired or been taken up is refused. A press within a second of a change names none: nobody can
+    have read the new proposal, and the press was meant for the one before.
+    """
+    waits = f"{{{{ '{AVAILABLE}' if value_json.state == 'ready' else '{NOT_AVAILABLE}' }}}}"
+    # A press changes `last_updated` before the template is rendered: the moment is an attribute.
+    attributes = "{'id': value_json.id, 'proposal': value_json.text, 'since': now().timestamp()}"
+    fresh = f"now().timestamp() - this.attributes.get('since', 0) < {READ_S}"
+    return {
+        "platform": "button",
+        "name": name,
+        "command_topic": topics.command(what),
+        "command_template": f"{{{{ '' if {fresh} else this.attributes.get('id', '') }}}}",
+        "json_attributes_topic": topics.proposal,
+        "json_attributes_template": f"{{{{ {attributes} | tojson }}}}",
+        "availability": [
+            _available(topics),
+            {
+                "topic": topics.proposal,
+                "value_template": waits,
+                "payload_available": AVAILABLE,
+                "payload_not_available": NOT_AVAILABLE,
+            },
+        ],
+        "availability_mode": "all",
+    }
 
 
 def _commissioning(settings: Settings, topics: Topics) -> dict[str, Json]:

@@ -15,6 +15,7 @@ from paho.mqtt.client import Client, ConnectFlags, MQTTMessage
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
+from edge.assistant.requests.desk import nothing_asked
 from edge.config.settings import Settings
 from edge.core.errors import RequestError
 from edge.core.event_log import Allowance
@@ -22,7 +23,7 @@ from edge.core.messages import Event, Severity, TickRecord
 from edge.core.plain_text import plain
 from edge.formats.tick_json import event_json
 from edge.mqtt import discovery, states
-from edge.mqtt.commands import parse
+from edge.mqtt.commands import is_stop, parse
 from edge.mqtt.connection import Lane, end, make_client
 from edge.mqtt.drain import BATCH_ROWS, Drain, MessageQueue
 from edge.mqtt.topics import Topics
@@ -71,6 +72,7 @@ class Telemetry:
         self._commissioning: Mapping[str, Any] | None = None  # the newest
         self._commissioning_published: Mapping[str, Any] | None = None
         self._proposals: deque[Mapping[str, Any]] = deque(maxlen=COMMANDS_WAITING_MAX)
+        self._proposal: Mapping[str, Any] = nothing_asked()  # the newest that was published
         self._commands: queue.Queue[tuple[str, bytes]] = queue.Queue(COMMANDS_WAITING_MAX)
         self._answers: deque[tuple[str, dict[str, Any]]] = deque(maxlen=COMMANDS_WAITING_MAX)
         self._allowance = Allowance(COMMANDS_WAITING_MAX, COMMANDS_PER_S, time.monotonic)
@@ -192,7 +194,8 @@ class Telemetry:
         """
         lane = self._lane_of.get(what)
         if lane is not None:
-            if not lane.is_open or (what == STOP and not self._is_heard_by_lane()):
+            stops = what == STOP and is_stop(payload)
+            if not lane.is_open or (stops and not self._is_heard_by_lane()):
                 self._carry_out(what, payload)
         elif self._allowance.take():
             try:
@@ -213,7 +216,7 @@ class Telemetry:
 
     def _hear_lane(self, what: str, payload: bytes) -> None:
         """Receive a command on a connection of its own, whose thread calls this."""
-        if what == STOP:
+        if what == STOP and is_stop(payload):  # a release must not make the main connection drop a stop
             self._stop_heard_s = time.monotonic()
             self._stop_heard.set()
         self._carry_out(what, payload)
@@ -294,8 +297,12 @@ class Telemetry:
         if commissioning is not None and (greet or commissioning is not self._commissioning_published):
             self._publish(self._topics.commissioning, commissioning, qos=1, retain=True)
             self._commissioning_published = commissioning
+        if greet:  # the topic is not retained: a proposal of a daemon that is no more cannot be confirmed
+            self._publish(self._topics.proposal, self._proposal, qos=1)
         while self._proposals:
-            self._publish(self._topics.proposal, self._proposals.popleft(), qos=1)
+            proposal = self._proposals.popleft()
+            self._publish(self._topics.proposal, proposal, qos=1)
+            self._proposal = proposal
         while self._events:
             self._publish(self._topics.event, event_json(self._events.popleft()), qos=1)
 

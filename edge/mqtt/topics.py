@@ -77,7 +77,7 @@ class Topics:
 
     @property
     def proposal(self) -> str:
-        """The outcome of an operator's request: to be confirmed, or not."""
+        """An operator's request at each of its stages, and the newest one again at each connection."""
         return f"{self.root}/proposal"
 
     @property

@@ -51,6 +51,7 @@ ENTITY = AVAILABILITY | {
     "qos",
     "encoding",
 }
+AVAILABILITY_ENTRY = {"topic", "payload_available", "payload_not_available", "value_template"}
 READ_ONLY = {"state_topic", "value_template"}
 READ_WRITE = READ_ONLY | {"command_topic", "retain"}
 
@@ -164,11 +165,21 @@ def check_device(payload: dict[str, Any]) -> None:
     assert not ("availability" in payload and "availability_topic" in payload)
     assert payload.get("qos", 0) in (0, 1, 2)
     shared = {key: payload[key] for key in ("state_topic", "command_topic") if key in payload}
-    ids = [component["unique_id"] for component in payload["components"].values()]
+    components = alive(payload)
+    ids = [component["unique_id"] for component in components.values()]
     assert len(set(ids)) == len(ids), "unique ids must be unique"
-    for key, component in payload["components"].items():
+    for entry in payload.get("availability", ()):
+        _known("availability", entry, AVAILABILITY_ENTRY)
+    for key, component in components.items():
         assert ID.fullmatch(key), key
+        # The availability of the root is handed down too, and a list and a topic exclude each other.
+        assert not (component.keys() | payload.keys() >= {"availability", "availability_topic"}), key
         _check_component(key, component, shared)
+
+
+def alive(payload: dict[str, Any]) -> dict[str, Any]:
+    """Return the components without those that the payload removes, which are a platform alone."""
+    return {key: values for key, values in payload["components"].items() if values.keys() != {"platform"}}
 
 
 def _check_component(key: str, component: dict[str, Any], shared: dict[str, Any]) -> None:
@@ -184,6 +195,9 @@ def _check_component(key: str, component: dict[str, Any], shared: dict[str, Any]
     assert component["default_entity_id"].startswith(f"{platform}.")
     assert component.get("entity_category", "config") in CATEGORIES
     assert not (platform in ("sensor", "binary_sensor") and component.get("entity_category") == "config")
+    for entry in component.get("availability", ()):
+        _known(f"{key}.availability", entry, AVAILABILITY_ENTRY)
+        assert entry["topic"]
     for name, value in component.items():
         if name.endswith("_topic"):
             assert value and "#" not in value and "+" not in value, f"{key}.{name}"

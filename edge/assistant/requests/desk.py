@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from edge.assistant.requests.answer import understood
-from edge.assistant.requests.prediction import describe, predict_day
+from edge.assistant.requests.prediction import describe, effect_lines, predict_day
 from edge.config.settings import LightingSettings, Settings
 from edge.core.errors import GreenhouseError, RequestError
 from edge.core.plain_text import plain, quote
@@ -24,13 +24,10 @@ from edge.tick.reference import seconds_of_day, zone_of
 from edge.tick.steering import HOURS_MAX, WORDS_MAX, Steering
 from edge.twin.model import BoxTwin
 
-_BYTES = 3
-PROPOSAL_ID = f"[0-9a-f]{{{2 * _BYTES}}}"  # a regular expression
-
 
 def new_id() -> str:
-    """Return a new id."""
-    return secrets.token_hex(_BYTES)
+    """Return a new id, short enough to be typed."""
+    return secrets.token_hex(3)
 
 
 _SYSTEM = """\
@@ -81,7 +78,8 @@ LanguageModel = Callable[[list[dict[str, str]]], Mapping[str, Any]]
 class PendingRequest:
     """One wish and what came of it.
 
-    state : thinking, ready, question (the model asks back), failed, confirmed, undone or expired
+    state : none (nobody asked), thinking, ready, question (the model asks back), failed, confirmed,
+        discarded, undone or expired
     said : by the language model: what it understood, or its question
     changes : what would be different, told by the values
     """
@@ -96,18 +94,47 @@ class PendingRequest:
     effect: Json | None = None
     error: str = ""
 
+    @property
+    def text(self) -> str:
+        """The whole of it in one sentence, for a display that has room for one."""
+        match self.state:
+            case "none":
+                return "nothing was asked for"
+            case "thinking":
+                return f"thinking about: {self.words}"
+            case "ready":
+                return "; ".join(self.changes)
+            case "question":
+                return self.said
+            case "failed":
+                return f"failed: {self.error}"
+            case state:
+                return f"{state}: {'; '.join(self.changes) or self.words}"
+
+    @property
+    def lines(self) -> list[str]:
+        """The changes, and the next day with and without them, a line each."""
+        return [*self.changes, *([] if self.effect is None else effect_lines(self.effect))]
+
     def as_json(self) -> Json:
         """JSON values for the command line and MQTT."""
         return {
             "id": self.id,
             "words": self.words,
             "state": self.state,
+            "text": self.text,
+            "lines": self.lines,
             "said": self.said,
             "changes": list(self.changes),
             "steering": None if self.steering is None else steerings.to_dict(self.steering),
             "effect": self.effect,
             "error": self.error,
         }
+
+
+def nothing_asked() -> Json:
+    """Return what stands in the place of a proposal where nobody has asked for anything."""
+    return PendingRequest("", "", 0.0, state="none").as_json()
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +168,7 @@ class ProposalRequest:
 
 
 class WishDesk:
-    """Takes `ask`, `proposal`, `confirm` and `undo`; each is answered at once."""
+    """Takes `ask`, `proposal`, `confirm`, `discard` and `undo`; each is answered at once."""
 
     def __init__(self, around: DeskParts) -> None:
         self.listeners: list[Callable[[Json], None]] = []  # get each new state; they never wait
@@ -161,6 +188,8 @@ class WishDesk:
                 case "proposal":
                     proposal = self._find(read_request(ProposalRequest, request).id)
                     return {"ok": True, "proposal": proposal.as_json()}
+                case "discard":
+                    return self._discard(self._find(read_request(ProposalRequest, request).id))
                 case "undo":
                     read_request(NoKeys, request)
                     return self._undo()
@@ -186,8 +215,9 @@ class WishDesk:
                 raise RequestError("ask: the wish before is still being worked on")
             proposal = PendingRequest(new_id(), plain(words, WORDS_MAX), self._around.utc())
             self._keep(proposal)
-            self._thread = threading.Thread(target=self._work, args=(proposal,), name="wish", daemon=True)
-            self._thread.start()
+        self._publish(proposal)  # a slow model's answer is minutes away; the display changes now
+        self._thread = threading.Thread(target=self._work, args=(proposal,), name="wish", daemon=True)
+        self._thread.start()
         return {"ok": True, "proposal": proposal.as_json()}
 
     def _confirm(self, proposal: PendingRequest) -> Json:
@@ -204,6 +234,16 @@ class WishDesk:
             with self._lock:
                 self._keep(proposal)
         return answer
+
+    def _discard(self, proposal: PendingRequest) -> Json:
+        with self._lock:
+            now = self._proposals[proposal.id]  # a confirmation may have come in between
+            if now.state != "ready":
+                raise RequestError(f"discard: proposal {now.id} cannot be discarded: {now.state}")
+            discarded = replace(now, state="discarded")
+            self._keep(discarded)
+        self._publish(discarded)
+        return {"ok": True, "proposal": discarded.as_json()}
 
     def _undo(self) -> Json:
         standing = self._around.loop({"do": "status"}).get("operation", {}).get("steering")

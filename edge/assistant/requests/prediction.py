@@ -29,7 +29,7 @@ _ROWS = {
     "temp_air_low_c": ("lowest air temperature", "°C"),
     "temp_air_high_c": ("highest air temperature", "°C"),
     "mean_error_k": ("mean error from its reference", "K"),
-    "within_half_a_degree_pct": ("of the time within 0.5 K", "%"),
+    "within_half_a_degree_pct": ("time within 0.5 K", "%"),
     "heat_wh": ("heat", "Wh"),
     "fan_min": ("fan", "min"),
 }
@@ -66,6 +66,20 @@ def effect_table(effect: Mapping[str, Any]) -> list[str]:
     for key, (label, unit) in _ROWS.items():
         lines.append(f"{label + ' [' + unit + ']':<40s}{effect['now'][key]:>10g}{effect['then'][key]:>10g}")
     return lines
+
+
+def effect_lines(effect: Mapping[str, Any]) -> list[str]:
+    """Return the same figures as sentences, for a display that has no columns."""
+    if "reason" in effect:
+        return effect_table(effect)
+    now, then = effect["now"], effect["then"]
+    return [
+        "the next 24 h by the twin, room as now:",
+        *(
+            f"{label}: {now[key]:g} {unit} as it is, {then[key]:g} {unit} then"
+            for key, (label, unit) in _ROWS.items()
+        ),
+    ]
 
 
 def _clock(since_midnight_s: float) -> str:

@@ -108,7 +108,7 @@ def test_wish_confirmation_undo_and_why_over_the_broker(
             return dict(listener.objects(f"{RIG}/reply")[-1])
 
         assert answered("ask", WISH)["proposal"]["state"] == "thinking"
-        wait_for(lambda: listener.objects(f"{RIG}/proposal"))
+        wait_for(lambda: listener.objects(f"{RIG}/proposal")[-1]["state"] not in ("none", "thinking"))
         proposal = listener.objects(f"{RIG}/proposal")[-1]
         assert proposal["state"] == "ready"
         assert standing(daemon)["steering"] is None

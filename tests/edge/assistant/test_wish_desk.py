@@ -9,7 +9,7 @@ import pytest
 from test_steering import TWIN, document, status
 
 from bench.support.broker import wait_for
-from edge.assistant.requests.desk import PROPOSAL_AGE_MAX_S, DeskParts, WishDesk
+from edge.assistant.requests.desk import PROPOSAL_AGE_MAX_S, DeskParts, PendingRequest, WishDesk
 from edge.config import loading as config
 from edge.core.errors import DataError
 from edge.twin.model import BoxTwin
@@ -59,7 +59,8 @@ class Office:
 
     def _told(self, proposal: dict[str, Any]) -> None:
         self.told.append(proposal)
-        self.done.set()
+        if proposal["state"] != "thinking":
+            self.done.set()
 
     def ask(self, words: Any = "20 at night") -> dict[str, Any]:
         """Ask and wait for what comes of it."""
@@ -79,7 +80,8 @@ def test_a_wish_becomes_a_proposal_and_nothing_is_ordered() -> None:
     assert proposal["state"] == "ready"
     assert proposal["changes"][0] == "reference every day: 26 °C from 06:00, 20 °C from 22:00"
     assert proposal["effect"]["then"]["heat_wh"] >= 0
-    assert office.told == [proposal]
+    assert [told["state"] for told in office.told] == ["thinking", "ready"]
+    assert office.told[-1] == proposal
     assert not office.orders
 
 
@@ -112,19 +114,66 @@ def test_every_new_state_of_a_proposal_is_published() -> None:
     proposal = office.ask()
     office.confirm(proposal["id"])
     assert office.desk.answer({"do": "undo"})["ok"]
-    assert [told["state"] for told in office.told] == ["ready", "confirmed", "undone"]
+    assert [told["state"] for told in office.told] == ["thinking", "ready", "confirmed", "undone"]
     other = office.ask()
     office.now_utc += PROPOSAL_AGE_MAX_S
     office.confirm(other["id"])
-    assert [told["state"] for told in office.told[3:]] == ["ready", "expired"]
-    assert {told["id"] for told in office.told[3:]} == {other["id"]}
+    assert [told["state"] for told in office.told[4:]] == ["thinking", "ready", "expired"]
+    assert {told["id"] for told in office.told[4:]} == {other["id"]}
 
 
 def test_an_expired_proposal_is_published_without_being_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("edge.assistant.requests.desk.PROPOSAL_AGE_MAX_S", -0.99)  # the timer adds a second
     office = Office()
     office.desk.answer({"do": "ask", "words": "20 at night"})
-    wait_for(lambda: [told["state"] for told in office.told] == ["ready", "expired"])
+    wait_for(lambda: [told["state"] for told in office.told] == ["thinking", "ready", "expired"])
+
+
+def test_a_discarded_proposal_is_published_once_and_cannot_be_confirmed() -> None:
+    office = Office()
+    proposal = office.ask()
+    discard = {"do": "discard", "id": proposal["id"]}
+    assert office.desk.answer(discard)["proposal"]["state"] == "discarded"
+    assert office.told[-1]["text"] == f"discarded: {proposal['text']}"
+    assert "cannot be discarded: discarded" in office.desk.answer(discard)["error"]
+    assert "discarded" in office.confirm(proposal["id"])["error"]
+    assert not office.orders
+    assert [told["state"] for told in office.told] == ["thinking", "ready", "discarded"]
+
+
+def test_what_is_carried_out_can_be_undone_and_not_discarded() -> None:
+    office = Office()
+    proposal = office.ask()
+    office.confirm(proposal["id"])
+    assert "confirmed" in office.desk.answer({"do": "discard", "id": proposal["id"]})["error"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"state": "none", "words": ""}, "nothing was asked for"),
+        ({}, "thinking about: warmer"),
+        (
+            {"state": "ready", "changes": ("26 °C from 06:00", "until Monday")},
+            "26 °C from 06:00; until Monday",
+        ),
+        ({"state": "question", "said": "By day?"}, "By day?"),
+        ({"state": "failed", "error": "rate limited"}, "failed: rate limited"),
+        ({"state": "expired", "changes": ("26 °C",)}, "expired: 26 °C"),
+        ({"state": "undone"}, "undone: warmer"),
+    ],
+)
+def test_each_state_reads_as_one_sentence(changes: dict[str, Any], text: str) -> None:
+    assert PendingRequest(**{"id": "c0ffee", "words": "warmer", "asked_utc": 0.0, **changes}).text == text
+
+
+def test_the_lines_are_the_changes_and_the_next_day_with_and_without_them() -> None:
+    proposal = Office(twin=TWIN).ask()
+    assert proposal["lines"][: len(proposal["changes"])] == proposal["changes"]
+    heat = next(line for line in proposal["lines"] if line.startswith("heat: "))
+    now, then = (proposal["effect"][when]["heat_wh"] for when in ("now", "then"))
+    assert heat == f"heat: {now:g} Wh as it is, {then:g} Wh then"
+    assert Office().ask()["lines"][-1].startswith("no prediction:")
 
 
 def test_an_undo_that_the_loop_refuses_changes_no_proposal() -> None:

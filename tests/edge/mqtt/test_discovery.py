@@ -3,14 +3,16 @@
 import json
 import re
 from dataclasses import replace
+from datetime import datetime, timedelta
 
 import pytest
-from home_assistant import check_device, check_topic
+from home_assistant import alive, check_device, check_topic
 
 from bench.support.mqtt_rig import ROOT, ControlLoop, record, settings
-from edge.assistant.requests.desk import PendingRequest, new_id
+from edge.assistant.requests.desk import nothing_asked
 from edge.config.settings import BoxSettings, ControlSettings, LlmSettings, ReferenceSettings, Settings
 from edge.core.controller_names import LLM
+from edge.core.errors import RequestError
 from edge.core.messages import ForecastSkill
 from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
@@ -19,7 +21,7 @@ from edge.mqtt.topics import Topics
 
 CONFIGURED = settings()
 PAYLOAD = discovery.device(CONFIGURED)
-COMPONENTS = PAYLOAD["components"]
+COMPONENTS = alive(PAYLOAD)
 STATE = states.state(ControlLoop().status(), {"ticks_late": 0, "ticks_skipped": 0, "outbox_depth": 0})
 
 
@@ -47,7 +49,7 @@ def test_it_stays_so_for_every_name_a_rig_can_have(rig):
         lambda payload: payload["components"]["temp_air"].update(unit_of_measurement="degC"),
         lambda payload: payload["components"]["fan"].update(unique_id="rig-1_climate"),
         lambda payload: payload["components"]["clear_trip"].pop("command_topic"),
-        lambda payload: payload.update(state_topic="greenhouse/rig-1/state"),  # the texts would inherit it
+        lambda payload: payload["components"]["ask"].pop("value_template"),
     ],
 )
 def test_the_checker_can_fail(spoil):
@@ -80,7 +82,9 @@ def test_all_shown_on_the_state_topic_is_in_the_state():
         key
         for component in COMPONENTS.values()
         for name, template in component.items()
-        if name.endswith("_template") and component.get("state_topic", ROOT + "/state") == ROOT + "/state"
+        if name.endswith("_template")
+        and name not in ("command_template", "json_attributes_template")
+        and component.get("state_topic", ROOT + "/state") == ROOT + "/state"
         for key in re.findall(r"value_json\.(\w+)", template)
     }
     assert keys
@@ -110,7 +114,7 @@ def test_every_button_switch_and_number_ends_in_a_command():
     for component in COMPONENTS.values():
         topic = component.get("command_topic")
         match component["platform"]:
-            case "button":
+            case "button" if "command_template" not in component:
                 assert parse_topic(topic, component["payload_press"])
             case "switch":
                 assert parse_topic(topic, component["payload_on"])
@@ -121,10 +125,13 @@ def test_every_button_switch_and_number_ends_in_a_command():
                     assert parse_topic(topic, text)
 
 
+WISHES = ("ask", "proposal", "confirm_proposal", "discard_proposal", "undo")
+
+
 def test_wishes_are_switched_off_where_there_is_no_language_model():
     def enabled(rig: Settings) -> set[bool]:
         components = discovery.device(rig)["components"]
-        return {components[key]["enabled_by_default"] for key in ("ask", "proposal", "confirm", "undo")}
+        return {components[key]["enabled_by_default"] for key in WISHES}
 
     assert enabled(CONFIGURED) == {False}
     assert enabled(replace(CONFIGURED, llm=LlmSettings(url="http://localhost/v1", model="m"))) == {True}
@@ -140,17 +147,94 @@ def test_a_box_that_nobody_described_has_no_button_that_commissions_it():
     assert enabled(replace(CONFIGURED, box=BoxSettings(twin="twin.yaml"))) == {True}
 
 
-def test_a_proposals_id_can_be_typed_and_nothing_else():
-    confirm = COMPONENTS["confirm"]
-    assert re.fullmatch(confirm["pattern"], new_id())
-    assert not re.fullmatch(confirm["pattern"], "yes")
-    assert parse_topic(confirm["command_topic"], "c0ffee") == {"do": "confirm", "id": "c0ffee"}
-    assert parse_topic(COMPONENTS["ask"]["command_topic"], "keep 26")["words"] == "keep 26"
+NOW = datetime(2026, 7, 1, 12, 0, 0)
+
+
+def proposal_attributes(key, **proposal):
+    jinja2 = pytest.importorskip("jinja2")
+    template = jinja2.Environment().from_string(COMPONENTS[key]["json_attributes_template"])
+    return json.loads(template.render(value_json={**nothing_asked(), **proposal}, now=lambda: NOW))
+
+
+@pytest.mark.parametrize("what", ["confirm", "discard"])
+@pytest.mark.parametrize(
+    ("id", "age_s", "payload"),
+    [("c0ffee", 60.0, "c0ffee"), ("c0ffee", 1.0, "c0ffee"), ("c0ffee", 0.9, ""), ("", 60.0, "")],
+    ids=["read", "just read", "too new to have been read", "none"],
+)
+def test_a_button_names_the_proposal_that_home_assistant_shows(what, id, age_s, payload):
+    jinja2 = pytest.importorskip("jinja2")
+    button = COMPONENTS[f"{what}_proposal"]
+    template = jinja2.Environment().from_string(button["command_template"])
+    this = {"attributes": proposal_attributes(f"{what}_proposal", id=id)}
+    sent = template.render(this=this, now=lambda: NOW + timedelta(seconds=age_s))
+    assert sent == payload
+    if sent:
+        assert parse_topic(button["command_topic"], sent) == {"do": what, "id": "c0ffee"}
+    else:
+        with pytest.raises(RequestError, match="no proposal is named"):
+            parse_topic(button["command_topic"], sent)
+
+
+def test_the_buttons_are_there_while_a_proposal_waits():
+    jinja2 = pytest.importorskip("jinja2")
+    root, own = COMPONENTS["confirm_proposal"]["availability"]
+    assert root == PAYLOAD["availability"][0]
+    template = jinja2.Environment().from_string(own["value_template"])
+    shown = {state: template.render(value_json={"state": state}) for state in ("ready", "none", "expired")}
+    assert shown == {"ready": "online", "none": "offline", "expired": "offline"}
+
+
+def test_the_stage_of_a_proposal_is_an_attribute():
+    # `state` is a name that Home Assistant drops, core: components/mqtt/entity.py, MQTT_ATTRIBUTES_BLOCKED
+    shown = proposal_attributes("proposal", state="ready", lines=["26 °C"])
+    assert (shown["stage"], shown["lines"]) == ("ready", ["26 °C"])
 
 
 def test_what_the_proposal_shows_is_in_a_proposal():
-    assert COMPONENTS["proposal"]["value_template"] == "{{ value_json.state }}"
-    assert PendingRequest("c0ffee", "keep 26", 0.0).as_json()["state"] == "thinking"
+    for key, name in (("proposal", "text"), ("ask", "words")):
+        assert COMPONENTS[key]["value_template"] == f"{{{{ value_json.{name}[:255] }}}}"
+        assert name in nothing_asked()
+    assert parse_topic(COMPONENTS["ask"]["command_topic"], "keep 26")["words"] == "keep 26"
+
+
+def test_what_an_older_version_announced_is_removed_and_its_stop_goes_on():
+    # Home Assistant removes a component that is its platform alone.
+    assert {key: values for key, values in PAYLOAD["components"].items() if key not in COMPONENTS} == {
+        "confirm": {"platform": "text"}
+    }
+    for key, platform in (("emergency_stop", "button"), ("release_emergency_stop", "button")):
+        assert COMPONENTS[key]["platform"] == platform
+        assert not COMPONENTS[key]["enabled_by_default"]  # of a new rig
+
+
+def test_one_switch_stops_and_releases_and_shows_it():
+    switch = COMPONENTS["stop"]
+    assert parse_topic(switch["command_topic"], switch["payload_on"]) == {"do": "emergency_stop"}
+    assert parse_topic(switch["command_topic"], switch["payload_off"]) == {"do": "release_emergency_stop"}
+    assert rendered("stop", STATE) == switch["state_off"]
+    assert rendered("stop", {**STATE, "emergency_stop": 1}) == switch["state_on"]
+
+
+def test_every_entity_has_an_icon_of_ours_or_one_that_changes_with_its_state():
+    for key, component in COMPONENTS.items():
+        if component["platform"] == "binary_sensor":
+            assert component["device_class"]
+        else:
+            assert re.fullmatch(r"mdi:[a-z0-9-]+", component["icon"]), key
+
+
+@pytest.mark.parametrize(
+    ("answer", "shown"),
+    [
+        ({"command": "mode", "ok": True}, "mode: done"),
+        ({"command": "mode", "ok": False, "error": "'x' is not one of off"}, "mode: 'x' is not one of off"),
+        ({"command": "", "ok": False}, ": refused"),
+    ],
+)
+def test_a_refusal_is_shown(answer, shown):
+    assert rendered("last_answer", answer) == shown
+    assert len(rendered("last_answer", {"command": "c" * 43, "ok": False, "error": "e" * 999})) <= 255
 
 
 def test_sensors_expire_after_three_steps():
@@ -163,7 +247,7 @@ def test_sensors_expire_after_three_steps():
 def test_ids_stay_the_same_when_only_the_settings_change():
     other = replace(CONFIGURED, reference=ReferenceSettings(min_c=18.0))
     ids = {key: component["unique_id"] for key, component in COMPONENTS.items()}
-    again = discovery.device(other)["components"]
+    again = alive(discovery.device(other))
     assert ids == {key: component["unique_id"] for key, component in again.items()}
 
 

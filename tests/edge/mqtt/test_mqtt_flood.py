@@ -142,9 +142,11 @@ def test_each_urgent_order_is_carried_out_once_and_in_order(broker: Broker) -> N
         orders = ["emergency_stop", "release_emergency_stop"] * 3
         for what in orders:
             listener.send(f"{TOPICS}/set/{what}", "PRESS")
-        wait_for(lambda: len(loop.requests) >= 6)
+        for payload in ("ON", "OFF"):  # of Home Assistant's switch
+            listener.send(f"{TOPICS}/set/emergency_stop", payload)
+        wait_for(lambda: len(loop.requests) >= 8)
         time.sleep(0.5)
-        assert [request["do"] for request in loop.requests] == orders
+        assert [request["do"] for request in loop.requests] == [*orders, *orders[:2]]
 
 
 @needs_mosquitto
@@ -153,6 +155,19 @@ def test_a_stop_is_heard_where_its_own_connection_has_died_unnoticed(broker: Bro
     with Listener(broker.port) as listener, running(broker.port, loop) as own:
         own._lane_of["emergency_stop"]._client.on_message = lambda *_: None
         listener.send(f"{TOPICS}/set/emergency_stop", "PRESS")
+        wait_for(lambda: loop.operation.emergency_stop)
+
+
+@needs_mosquitto
+def test_a_stop_by_the_main_connection_alone_acts_after_a_release_by_the_switch(
+    broker: Broker,
+) -> None:
+    loop = ControlLoop()
+    with Listener(broker.port) as listener, running(broker.port, loop) as own:
+        listener.send(f"{TOPICS}/set/emergency_stop", "OFF")
+        wait_for(lambda: loop.requests)
+        own._lane_of["emergency_stop"]._client.on_message = lambda *_: None
+        listener.send(f"{TOPICS}/set/emergency_stop", "ON")
         wait_for(lambda: loop.operation.emergency_stop)
 
 

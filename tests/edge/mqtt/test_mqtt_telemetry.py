@@ -92,8 +92,17 @@ def test_a_message_with_a_value_that_json_lacks_is_not_published(broker):
     with Listener(broker.port) as listener, online(broker.port) as own:
         own.show_proposal({"reference_c": math.nan})
         own.show_proposal({"reference_c": 24.0})
-        wait_for(lambda: listener.payloads(f"{ROOT}/proposal"))
-        assert listener.payloads(f"{ROOT}/proposal") == [b'{"reference_c":24.0}']
+        wait_for(lambda: b'{"reference_c":24.0}' in listener.payloads(f"{ROOT}/proposal"))
+        assert [shown.get("state") for shown in listener.objects(f"{ROOT}/proposal")] == ["none", None]
+
+
+def test_the_newest_proposal_comes_again_when_home_assistant_starts(broker):
+    with Listener(broker.port) as listener, online(broker.port) as own:
+        own.show_proposal({"id": "a", "state": "ready"})
+        wait_for(lambda: listener.objects(f"{ROOT}/proposal")[-1:] == [{"id": "a", "state": "ready"}])
+        listener.heard.clear()
+        listener.send("homeassistant/status", "online")
+        wait_for(lambda: listener.objects(f"{ROOT}/proposal") == [{"id": "a", "state": "ready"}])
 
 
 def test_closing_says_offline(broker):
