@@ -11,13 +11,14 @@
 # make deb     Debian packages for amd64 and arm64, out/deb
 # make deb-test  installs, upgrades, breaks and removes them in a Debian of their own (root, half an hour and more)
 # make boot-test  boots an arm64 machine in qemu and tries the package on it: power cuts, watchdog, an hour (root, hours)
+# make home-assistant-test  a real Home Assistant from PyPI with a rig: every entity and order (root, 10 minutes at first)
 # make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test quick lint docs bench model train firmware board-programs walk-through deb deb-test boot-test tools clean
+.PHONY: run test quick lint docs bench model train firmware board-programs walk-through deb deb-test boot-test home-assistant-test tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -64,6 +65,9 @@ deb-test: $(VENV)/dev.installed
 boot-test: $(VENV)/dev.installed tools
 	sh deploy/deb/build.sh $(BIN)/python arm64
 	PYTHONPATH=$(CURDIR) $(BIN)/python tests/deploy/boot_test.py out/deb/greenhouse_*_arm64.deb $(ARGS)
+
+home-assistant-test: $(VENV)/dev.installed tools
+	PYTHONPATH=$(CURDIR) $(BIN)/python tests/real_home_assistant/run.py $(ARGS)
 
 $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)

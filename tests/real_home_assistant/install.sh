@@ -1,0 +1,45 @@
+#!/bin/sh
+# Makes a Debian 13 with a Home Assistant of one version in it, once: out/home-assistant/VERSION. Prints its path.
+# usage: install.sh VERSION   root's; package: debootstrap
+# A Debian of its own, since a Home Assistant needs a newer Python than the Debian of a rig has.
+set -eu
+# What the test uses, and the kinds of entity that the page asks for, in use or not.
+integrations="frontend history mqtt ai_task alarm_control_panel assist_satellite calendar camera climate cover fan
+humidifier light lock media_player notify remote siren todo tts update vacuum water_heater"
+version="${1:?usage: install.sh VERSION}"
+here=$(realpath "$(dirname "$0")")
+folder=$(realpath "$here/../..")/out/home-assistant
+base="$folder/debian" tree="$folder/$version"
+log="$folder/install.log"
+command -v debootstrap >/dev/null || { echo "install.sh: apt install debootstrap" >&2 && exit 1; }
+
+inside() { # runs a command in the tree "$1", with this machine's names and certificates
+    root="$1" && shift
+    cp -L /etc/resolv.conf "$root/etc/resolv.conf"
+    # shellcheck disable=SC2016 # the inner shell expands
+    unshare --mount sh -c 'mount --bind /etc/ssl/certs "$0/etc/ssl/certs" && mount -t proc proc "$0/proc" &&
+        exec chroot "$0" "$@"' "$root" "$@"
+}
+
+make_base() {
+    # Some of what Home Assistant needs comes as source: g++
+    debootstrap --variant=minbase --include=python3-venv,python3-dev,g++,libturbojpeg0,ca-certificates \
+        trixie "$base.new" && rm -f "$base.new"/var/cache/apt/archives/*.deb && mv "$base.new" "$base"
+}
+
+make_tree() {
+    cp -a "$base" "$tree.new"
+    cp "$here/requirements.py" "$tree.new/root/"
+    inside "$tree.new" python3 -m venv /ha
+    inside "$tree.new" /ha/bin/pip install --quiet "homeassistant==$version"
+    # shellcheck disable=SC2086 # words are meant
+    inside "$tree.new" /ha/bin/python /root/requirements.py $integrations >"$tree.new/root/requirements.txt"
+    inside "$tree.new" /ha/bin/pip install --quiet --requirement /root/requirements.txt
+    mv "$tree.new" "$tree"
+}
+
+mkdir -p "$folder"
+rm -rf "$folder"/*.new
+{ [ -e "$base" ] || make_base; } >"$log" 2>&1 || { tail -n 20 "$log" >&2 && exit 1; }
+{ [ -e "$tree" ] || make_tree; } >>"$log" 2>&1 || { tail -n 20 "$log" >&2 && exit 1; }
+echo "$tree"
