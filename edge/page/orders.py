@@ -18,6 +18,7 @@ NEEDS = {
     "ask": Role.OPERATE,
     "proposal": Role.OPERATE,
     "confirm": Role.OPERATE,
+    "discard": Role.OPERATE,
     "undo": Role.OPERATE,
     "bundle": Role.ADMIN,
 }

@@ -158,6 +158,10 @@ export function Ask({ me, done }) {
     setWords("");
     done();
   };
+  const discard = async () => {
+    if (proposal.state === "ready") await call("POST", "/api/order", { do: "discard", id: proposal.id });
+    setProposal(null);
+  };
   return html`<section class="card" aria-label="Ask"><h2>Ask in words</h2>
     <div class="row"><input aria-label="What you want" placeholder="two degrees warmer until tomorrow noon" value=${words} onInput=${(event) => setWords(event.target.value)} />
       <${Do} disabled=${!words.trim()} act=${ask}>Ask<//>
@@ -167,7 +171,7 @@ export function Ask({ me, done }) {
         <p>${proposal.said || proposal.error || proposal.state}</p>
         <ul>${proposal.changes.map((change) => html`<li key=${change}>${change}</li>`)}</ul><p class="quiet">${proposal.effect}</p>`}
       <div class="row">${proposal.state === "ready" && html`<${Do} kind="plain" act=${confirm}>Confirm<//>`}
-        <button onClick=${() => setProposal(null)}>Discard</button></div></div>`}
+        <${Do} act=${discard}>Discard<//></div></div>`}
   </section>`;
 }
 
