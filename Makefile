@@ -11,7 +11,7 @@
 # make deb     Debian packages for amd64 and arm64, out/deb
 # make deb-test  installs, upgrades, breaks and removes them in a Debian of their own (root, half an hour and more)
 # make boot-test  boots an arm64 machine in qemu and tries the package on it: power cuts, watchdog, an hour (root, hours)
-# make home-assistant-test  a real Home Assistant from PyPI with a rig: every entity and order (root, 10 minutes at first)
+# make home-assistant-test  a real Home Assistant from PyPI with a rig: every entity and order (root)
 # make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
 
 PYTHON ?= python3

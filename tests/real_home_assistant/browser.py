@@ -81,6 +81,13 @@ class HeadlessChromium:
         self.run(f"localStorage.setItem('hassTokens', {json.dumps(json.dumps(tokens))})")
         self.run("localStorage.setItem('dockedSidebar', JSON.stringify('always_hidden'))")
 
+    def keep_port(self, url: str) -> None:
+        """Confirm the port, which newer versions ask for in a dialog; an older one refuses the command."""
+        self.open(url, 1000, 1000)
+        home = "document.querySelector('home-assistant')"
+        wait_for(lambda: self.run(f"return {home}?.hass?.connected === true"), "the page", 60.0)
+        self.run(f"return {home}.hass.callWS({{type: 'http/config/promote'}}).then(() => 1, () => 0)")
+
     def open(self, url: str, width: int, height: int) -> None:
         """Open a page in a window of this size [CSS pixels]."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}

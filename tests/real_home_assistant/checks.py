@@ -13,7 +13,7 @@ from edge.mqtt import discovery
 ENTITIES_S = 90.0  # the first tick may come before the board's first report: values come with the second
 WISH = "keep 26 by day and 20 at night, go easy on the fan"
 # Complaints of Home Assistant about how it was installed here.
-NOT_OURS = ("Skipping pip installation", "zlib_ng and isal are not available")
+NOT_OURS = ("Skipping pip installation", "zlib_ng and isal are not available", "[haffmpeg.")
 # No value before something happens: a first event or answer, a judged twin, an hour of forecasts.
 UNKNOWN_AT_FIRST = ("last_event", "last_answer", "twin_disagrees", "error_", "skill_")
 SIDES = ("Home Assistant", "the rig")

@@ -1,15 +1,20 @@
 #!/bin/sh
-# Makes a Debian 13 with a Home Assistant of one version in it, once: out/home-assistant/VERSION. Prints its path.
+# Makes a Debian with a Home Assistant of one version in it, once: out/home-assistant/VERSION. Prints its path.
 # usage: install.sh VERSION   root's; package: debootstrap
 # A Debian of its own, since a Home Assistant needs a newer Python than the Debian of a rig has.
 set -eu
-# What the test uses, and the kinds of entity that the page asks for, in use or not.
-integrations="frontend history mqtt ai_task alarm_control_panel assist_satellite calendar camera climate cover fan
-humidifier light lock media_player notify remote siren todo tts update vacuum water_heater"
+# What the test uses, what newer versions load unasked, and the kinds of entity that the page asks for.
+integrations="frontend history mqtt analytics backup hassio infrared radio_frequency
+ai_task alarm_control_panel assist_satellite calendar camera climate cover fan humidifier light lock media_player
+notify remote siren todo tts update vacuum water_heater"
 version="${1:?usage: install.sh VERSION}"
 here=$(realpath "$(dirname "$0")")
 folder=$(realpath "$here/../..")/out/home-assistant
-base="$folder/debian" tree="$folder/$version"
+case "$version" in # Python 3.13, and from 2026.3 on 3.14, which Debian 13 has not
+2025.* | 2026.1.* | 2026.2.*) suite=trixie ;;
+*) suite=testing ;;
+esac
+base="$folder/$suite" tree="$folder/$version"
 log="$folder/install.log"
 command -v debootstrap >/dev/null || { echo "install.sh: apt install debootstrap" >&2 && exit 1; }
 
@@ -24,7 +29,9 @@ inside() { # runs a command in the tree "$1", with this machine's names and cert
 make_base() {
     # Some of what Home Assistant needs comes as source: g++
     debootstrap --variant=minbase --include=python3-venv,python3-dev,g++,libturbojpeg0,ca-certificates \
-        trixie "$base.new" && rm -f "$base.new"/var/cache/apt/archives/*.deb && mv "$base.new" "$base"
+        "$suite" "$base.new"
+    rm -f "$base.new"/var/cache/apt/archives/*.deb
+    mv "$base.new" "$base"
 }
 
 make_tree() {
@@ -42,6 +49,9 @@ make_tree() {
 
 mkdir -p "$folder"
 rm -rf "$folder"/*.new
-{ [ -e "$base" ] || make_base; } >"$log" 2>&1 || { tail -n 20 "$log" >&2 && exit 1; }
-{ [ -e "$tree" ] || make_tree; } >>"$log" 2>&1 || { tail -n 20 "$log" >&2 && exit 1; }
-echo "$tree"
+exec 3>&1 >"$log" 2>&1
+trap 'tail -n 20 "$log" >&3' EXIT
+[ -e "$base" ] || [ -e "$tree" ] || make_base
+[ -e "$tree" ] || make_tree
+trap - EXIT
+echo "$tree" >&3

@@ -22,7 +22,10 @@ def main(names: list[str]) -> None:
         if name in found:
             continue
         found.add(name)
-        manifest = json.loads((components / name / "manifest.json").read_text())
+        path = components / name / "manifest.json"
+        if not path.exists():  # another version has it
+            continue
+        manifest = json.loads(path.read_text())
         print(*manifest.get("requirements", ()), sep="\n")
         wait += manifest.get("dependencies", ())
 

@@ -25,8 +25,8 @@ from bench.support.virtual_board import virtual_board
 from training.llm_stand_in import MODEL
 from training.llm_stand_in.server import StandIn
 
-# The oldest that knows `default_entity_id`, and the newest for the Python of Debian 13.
-VERSIONS = ("2025.10.0", "2026.2.3")
+# The oldest that knows `default_entity_id`, the last for Python 3.13, and the newest when this was written.
+VERSIONS = ("2025.10.0", "2026.2.3", "2026.11.0")
 HERE = Path(__file__).parent
 RESULTS = ROOT / "bench" / "results" / "home_assistant.txt"
 IMAGES = ROOT / "docs" / "images"
@@ -40,6 +40,7 @@ def take_pictures(run: HomeRun, folder: Path) -> None:
     """Open the dashboard on a telephone and on a desk: no card complains. Save what its first view shows."""
     with HeadlessChromium(folder) as browser:
         browser.log_in(run.home.url, run.home.token)
+        browser.keep_port(run.home.url)
         for name, (width, height) in SIZES.items():
             for view, (card, cards) in VIEWS.items():
                 browser.open(f"{run.home.url}/green-house/{view}", width, height)
@@ -102,7 +103,7 @@ def lines_of(version: str) -> list[str]:
     """Run every check with one version and return what was measured."""
     begin = time.monotonic()
     tree = installed(version)
-    first = f"Home Assistant {version} from PyPI, in a Debian 13 of its own"
+    first = f"Home Assistant {version} from PyPI, in a Debian of its own"
     first += f", found or installed within {time.monotonic() - begin:.0f} s"
     print(first, flush=True)
     with tempfile.TemporaryDirectory() as name, rig_at_home(tree, Path(name)) as run:
