@@ -34,7 +34,7 @@ class Broker:
     """`with Broker(tmp_path, "allow_anonymous true") as broker:`; `extra` is lines of mosquitto.conf."""
 
     def __init__(self, folder: Path, extra: str = "allow_anonymous true") -> None:
-        self.port = _free_port()
+        self.port = free_port()
         self._folder = folder
         self._config = folder / "mosquitto.conf"
         # Started as root it would become a user who can't read the test's files.
@@ -138,7 +138,8 @@ class Listener:
         self.client.publish(topic, payload, qos=1, retain=retain).wait_for_publish(PATIENCE_S)
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """Return a port of the loopback that nobody listens on."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

@@ -49,8 +49,8 @@ make_tree() {
 
 mkdir -p "$folder"
 rm -rf "$folder"/*.new
-exec 3>&1 >"$log" 2>&1
-trap 'tail -n 20 "$log" >&3' EXIT
+exec 3>&1 4>&2 >"$log" 2>&1
+trap 'tail -n 20 "$log" >&4' EXIT
 [ -e "$base" ] || [ -e "$tree" ] || make_base
 [ -e "$tree" ] || make_tree
 trap - EXIT

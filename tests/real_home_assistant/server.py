@@ -14,7 +14,7 @@ from typing import Any, Self
 import requests
 import yaml
 
-from bench.support.broker import _free_port, wait_for
+from bench.support.broker import free_port, wait_for
 from edge.board.virtual_rig import die_with_parent, end_process
 
 START_S = 120.0  # a busy machine imports slowly
@@ -30,7 +30,7 @@ class RealHomeAssistant:
     """
 
     def __init__(self, tree: Path, dashboard: Path) -> None:
-        self.port = _free_port()
+        self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self.token = _token()
         self._tree, self._folder = tree, tree / "config"
