@@ -36,6 +36,7 @@ def settings_in(folder: Path, settings: Settings) -> Settings:
         board=replace(settings.board, port=str(folder / BOARD)),
         control_socket=replace(settings.control_socket, path=str(folder / "control.sock")),
         history=replace(settings.history, path=str(folder / "history.db")),
+        page=replace(settings.page, folder=str(folder / "page")),
         bundle=replace(settings.bundle, path=str(folder / "bundles"), trusted_keys=str(folder / "keys")),
         drift=replace(settings.drift, reports=str(folder / "diagnoses")),
         mqtt=replace(settings.mqtt, enabled=False),

@@ -1,6 +1,6 @@
 // The page: who looks, what the rig does, and the parts below each other.
 
-import { html, render, useEffect, useMemo, useState } from "./vendor/preact-htm.js";
+import { html, render, useEffect, useErrorBoundary, useMemo, useState } from "./vendor/preact-htm.js";
 import { call, follow } from "./api.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
 import { Access, Ask, Controls, Events, Health, Models, Now, Stop, Why, troubles } from "./parts.js";
@@ -50,6 +50,12 @@ function Course({ view, pick }) {
   </section>`;
 }
 
+// A part that fails says so, and takes no other one with it.
+function Part({ children }) {
+  const [error] = useErrorBoundary();
+  return error ? html`<section class="card"><p class="error">This part of the page failed: ${error.message}</p></section>` : children;
+}
+
 function Rig({ me }) {
   const [view, setView] = useState(null);
   const [lost, setLost] = useState(null);
@@ -66,15 +72,15 @@ function Rig({ me }) {
     <header><h1>${me.rig}</h1><span class="quiet">${view?.status?.operation.mode ?? ""}</span></header>
     <div aria-live="assertive">${bad.map(([kind, text]) => html`<p key=${text} class=${`trouble ${kind}`}>${text}</p>`)}</div>
     <main>
-      <${Now} view=${view} lost=${lost} />
-      <${Course} view=${view} pick=${setPicked} />
-      <${Why} view=${view} picked=${picked} clear=${() => setPicked(null)} />
-      <${Controls} view=${view} me=${me} done=${done} />
-      <${Ask} me=${me} done=${done} />
-      <${Events} me=${me} news=${seq} />
-      <${Models} view=${view} />
-      <${Health} view=${view} />
-      <${Access} me=${me} />
+      <${Part}><${Now} view=${view} lost=${lost} /><//>
+      <${Part}><${Course} view=${view} pick=${setPicked} /><//>
+      <${Part}><${Why} view=${view} picked=${picked} clear=${() => setPicked(null)} /><//>
+      <${Part}><${Controls} view=${view} me=${me} done=${done} /><//>
+      <${Part}><${Ask} me=${me} done=${done} /><//>
+      <${Part}><${Events} me=${me} news=${seq} /><//>
+      <${Part}><${Models} view=${view} /><//>
+      <${Part}><${Health} view=${view} /><//>
+      <${Part}><${Access} me=${me} /><//>
     </main>
     <${Stop} view=${view} me=${me} done=${done} />`;
 }

@@ -39,7 +39,7 @@ export function columnsOf(course, status) {
   ];
   const at = (status.plan ?? []).map((_, k) => tick.utc + k * tick.step_s);
   const plan = [at, status.plan.map((step) => step[0]), status.plan.map((step) => step[1])];
-  const coming = tick.why?.reference_c ?? [];
+  const coming = [tick.why?.reference_c ?? []].flat(); // a number where the controller does not look ahead
   const reference = [coming.map((_, k) => tick.utc + k * tick.step_s), coming];
   return uPlot.join([past, band, plan, reference]);
 }

@@ -186,7 +186,7 @@ def test_an_mpc_decides_without_scipy():
         "from contexts import context\n"
         "from edge.app.controllers import ControllerParts, make\n"
         "from edge.models.arx_file import read_arx\n"
-        "from edge.core.controller import MPC\n"
+        "from edge.core.controller_names import MPC\n"
         "from edge.config.settings import ControlSettings\n"
         "made = {name: make(name, ControllerParts(ControlSettings(), read_arx())) for name in MPC}\n"
         "made['MPC-P'].decide(context())\n"
