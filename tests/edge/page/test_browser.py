@@ -29,10 +29,15 @@ def text(driver: WebDriver) -> str:
 
 
 def tap(driver: WebDriver, words: str) -> None:
-    buttons = [each for each in driver.find_elements(By.TAG_NAME, "button") if each.text == words]
-    assert buttons, (words, text(driver))
-    driver.execute_script('arguments[0].scrollIntoView({block: "center"})', buttons[0])
-    buttons[0].click()
+    """Tap a button by its words; in one step within the page, which draws itself anew every second."""
+    found = """
+        const all = [...document.querySelectorAll("button")];
+        const button = all.find((each) => each.innerText === arguments[0]);
+        button?.scrollIntoView({ block: "center" });
+        button?.click();
+        return button !== undefined;
+    """
+    assert driver.execute_script(found, words), (words, text(driver))
 
 
 def enter(driver: WebDriver, page: PageProcess, role: Role, name: str = "Ann") -> None:
