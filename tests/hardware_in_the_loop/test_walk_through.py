@@ -10,6 +10,7 @@ from walk_through import walk
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(400)  # a minute alone, more beside two other workers
 def test_a_board_is_set_up_commissioned_and_controlled_by_its_own_twin(tmp_path: Path, capsys):
     assert walk(tmp_path, "python", minutes=60.0)
     shown = capsys.readouterr().out
