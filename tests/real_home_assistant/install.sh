@@ -36,14 +36,14 @@ make_base() {
 
 make_tree() {
     cp -a "$base" "$tree.new"
-    cp "$here/requirements.py" "$tree.new/root/"
     inside "$tree.new" python3 -m venv /ha
+    cp "$here/requirements.py" "$tree.new/ha/"
     inside "$tree.new" /ha/bin/pip install --quiet "homeassistant==$version"
     # Releases of 2025 do not say that they cannot work with pycares 5, which came after them.
     inside "$tree.new" /ha/bin/python -c "import aiohttp" || inside "$tree.new" /ha/bin/pip install --quiet "pycares<5"
     # shellcheck disable=SC2086 # words are meant
-    inside "$tree.new" /ha/bin/python /root/requirements.py $integrations >"$tree.new/root/requirements.txt"
-    inside "$tree.new" /ha/bin/pip install --quiet --requirement /root/requirements.txt
+    inside "$tree.new" /ha/bin/python /ha/requirements.py $integrations >"$tree.new/ha/requirements.txt"
+    inside "$tree.new" /ha/bin/pip install --quiet --requirement /ha/requirements.txt
     mv "$tree.new" "$tree"
 }
 
