@@ -8,7 +8,6 @@ in a failure that is told, and the rig must not notice. No part of `make test`: 
 import argparse
 import os
 import site
-import socket
 import subprocess
 import time
 import urllib.request
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.llm_closed_loop import REFERENCE_C, RunRemains, run
+from bench.support.broker import free_port
 from edge.assistant.llm.budget import Budget, Spending
 from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.failure import LlmFailure
@@ -57,7 +57,7 @@ def server_environment() -> Path:
 @contextmanager
 def real_server(python: Path) -> Iterator[tuple[str, str]]:
     """Yield the base URL and the model's name, while the server runs."""
-    model, port = PLACE / "model", _free_port()
+    model, port = PLACE / "model", free_port()
     subprocess.run([python, Path(__file__).with_name("llm_random_model.py"), model], check=True)
     command = [
         str(python.with_name("transformers")),
@@ -77,11 +77,6 @@ def real_server(python: Path) -> Iterator[tuple[str, str]]:
     finally:
         process.terminate()
         process.wait(30.0)
-
-
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        return int(taken.getsockname()[1])
 
 
 def _wait_until_ready(process: "subprocess.Popen[bytes]", url: str) -> None:

@@ -8,25 +8,40 @@ from selenium import webdriver
 from selenium.webdriver.remote.webdriver import WebDriver
 
 PHONE, DESK = (360, 780), (1440, 1000)
-PROGRAM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+PROGRAMS = {"chromium": "chromium", "chromium-driver": "chromedriver"}  # Debian package -> program
+# As root Chromium needs --no-sandbox; the last four keep it from calling its maker.
+OPTIONS = (
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars"),
+    *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
 
 
 @contextmanager
 def browser(size: tuple[int, int] = DESK, dark: bool = False) -> Iterator[WebDriver]:
     """Yield a browser with a profile of its own."""
-    assert PROGRAM and DRIVER, "apt install chromium chromium-driver"
+    assert not missing(), f"apt install {' '.join(missing())}"
     options = webdriver.ChromeOptions()
-    options.binary_location = PROGRAM
-    for word in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+    options.binary_location = shutil.which("chromium") or ""
+    for word in OPTIONS:
         options.add_argument(word)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
     try:
-        width, height = size
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        resize(driver, size)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
         yield driver
     finally:
         driver.quit()
+
+
+def resize(driver: WebDriver, size: tuple[int, int]) -> None:
+    """Give the window a size [CSS pixels]; a narrow one is a phone's."""
+    width, height = size
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+def missing() -> list[str]:
+    """Return the Debian packages that are still to be installed."""
+    return [name for name, program in PROGRAMS.items() if shutil.which(program) is None]

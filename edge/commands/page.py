@@ -8,11 +8,11 @@ import sys
 from datetime import datetime
 from pathlib import Path
 
+from edge.commands.bundle import settings_of
 from edge.commands.which_rig import RIG_CONFIG
-from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.errors import ConfigError, RequestError
-from edge.page.access import DAY_S, ROLES, Access, Role
+from edge.page.access import DAY_S, LINK_DAYS_MAX, ROLES, Access, Role
 from edge.page.child import is_installed
 
 MISSING = "the page needs more packages: pip install 'greenhouse-twin[page]'"
@@ -23,7 +23,6 @@ ACTIONS = {
     "sessions": "list the browsers that have a session",
     "revoke": "end a session, or all sessions and links",
 }
-DAYS_MAX = 366.0
 PAIR_H = 1.0  # a link for once is used at once
 
 
@@ -53,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serve until Ctrl-C, or do what the action says."""
     settings = settings_of(arguments.config)
-    access = Access(Path(settings.page.folder) / "page.db")
+    access = Access.of(settings.page.folder)
     match arguments.action:
         case None:
             _serve(arguments.config)
@@ -79,13 +78,6 @@ def _serve(file: Path | None) -> None:
     os.execv(sys.executable, [sys.executable, "-m", "edge.page", str(file or usual)])
 
 
-def settings_of(file: Path | None) -> Settings:
-    """Return the settings of a file, else the rig's, else every default. Errors: ConfigError"""
-    if file is None and not RIG_CONFIG.exists():
-        return config.default()
-    return config.load(file or RIG_CONFIG)
-
-
 def address(settings: Settings, opened: bool) -> str:
     """Return where a browser finds the page."""
     page = settings.page
@@ -98,8 +90,8 @@ def address(settings: Settings, opened: bool) -> str:
 def _print_link(
     settings: Settings, access: Access, given: argparse.Namespace, days: float, uses: int | None
 ) -> None:
-    if not 0.0 < days <= DAYS_MAX:
-        raise RequestError(f"--days: above 0, at most {DAYS_MAX:g}")
+    if not 0.0 < days <= LINK_DAYS_MAX:
+        raise RequestError(f"--days: above 0, at most {LINK_DAYS_MAX:g}")
     secret = access.make_link(ROLES[given.role], given.name or given.role, days * DAY_S, uses)
     how = "for one browser" if uses else "for whoever has it"
     until = f"within {24.0 * days:g} h" if days < 1.0 else f"for {days:g} days"

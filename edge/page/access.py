@@ -14,11 +14,13 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
+from typing import Self
 
 from edge.core.errors import DataError, RequestError
 from edge.core.plain_text import plain
 
 DAY_S = 86_400.0
+LINK_DAYS_MAX = 366.0
 SESSION_S = 30 * DAY_S  # without a visit, after which a session ends
 SEEN_EVERY_S = 600.0  # a visit is written no more often: a card wears
 SCRYPT = {"n": 1 << 14, "r": 8, "p": 1}  # 16 MB and a quarter of a second of a Raspberry Pi
@@ -68,6 +70,11 @@ class Access:
 
     path: Path
     utc: Callable[[], float] = time.time
+
+    @classmethod
+    def of(cls, folder: str | Path) -> Self:
+        """Return the file of a page's folder."""
+        return cls(Path(folder) / "page.db")
 
     def make_link(self, role: Role, name: str, valid_s: float, uses: int | None = 1) -> str:
         """Return the secret of a new link. uses : how many may enter by it, None for any number"""

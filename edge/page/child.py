@@ -28,7 +28,7 @@ def page_of(settings: Settings, folder: Path, rig: str) -> Iterator[str]:
         yield ""
         return
     port, home = _free_port(), folder / "page"
-    link = Access(home / "page.db").make_link(Role.ADMIN, "you", DAY_S, uses=None)
+    link = Access.of(home).make_link(Role.ADMIN, "you", DAY_S, uses=None)
     document = {
         "state_file": settings.state_file,
         "control_socket": {"path": settings.control_socket.path},

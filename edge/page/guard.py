@@ -52,13 +52,12 @@ class Guard:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        headers = Headers(scope=scope)
+        headers, sending = Headers(scope=scope), _with_headers(send, scope["path"])
         refused = self._refusal(scope["method"], scope["scheme"], headers)
         if refused is not None:
             status, reason = refused
-            await _refuse(status, reason)(scope, receive, _with_headers(send, "/api/"))
+            await _refuse(status, reason)(scope, receive, sending)
             return
-        sending = _with_headers(send, scope["path"])
         try:
             body = b"" if scope["method"] in SAFE else await _body(receive)
         except _TooLarge as error:
@@ -149,8 +148,6 @@ def _with_headers(send: Send, path: str) -> Send:
             for name, value in HEADERS.items():
                 headers[name] = value
             headers["cache-control"] = "no-store" if path.startswith("/api/") else "no-cache"
-            if "server" in headers:
-                del headers["server"]
         await send(message)
 
     return sending

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Iterator
-from pathlib import Path
 
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -35,14 +34,9 @@ class ImpatientProtocol(H11Protocol):
             self.transport.close()
 
 
-def database(settings: Settings) -> Access:
-    """Return who may do what."""
-    return Access(Path(settings.page.folder) / "page.db")
-
-
 def serve(settings: Settings) -> None:
     """Serve until SIGTERM or SIGINT. Errors: ConfigError where the address is taken or the certificate bad"""
-    access = database(settings)
+    access = Access.of(settings.page.folder)
     while True:
         opened = bool(settings.page.host) or access.is_open_to_network
         if asyncio.run(_serve(settings, access, opened)):

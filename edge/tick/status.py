@@ -33,9 +33,7 @@ def status_json(status: LoopStatus) -> dict[str, Any]:
         "since_start_s": status.since_start_s,
         "trips": list(status.trips),
         "tick": None if record is None else tick_json(record),
-        "plan": []
-        if record is None
-        else [[number(share) for share in step] for step in record.decision.plan],
+        "plan": [] if record is None else [list(map(number, step)) for step in record.decision.plan],
         "skill": {} if record is None else skill_json(record.skill),
         "drift": drift_json(record.drift if record else None),
         "echo": echo_json(status.echo),

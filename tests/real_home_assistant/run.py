@@ -14,12 +14,13 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import checks
-from browser import HeadlessChromium, missing
+from home_page import count, keep_port, log_in
 from home_run import LIMIT_S, RIG, HomeRun
 from server import RealHomeAssistant
 
 from bench.header import header
 from bench.support.broker import Broker, wait_for
+from bench.support.browser import browser, missing, resize
 from bench.support.daemon_process import ROOT, DaemonProcess
 from bench.support.virtual_board import virtual_board
 from training.llm_stand_in import MODEL
@@ -36,23 +37,24 @@ VIEWS = {"history": ("hui-history-graph-card", 3), "rig": ("hui-tile-card", 18)}
 SETTLED_S = 3.0  # a card draws itself after it has been made, and announces no end of that
 
 
-def take_pictures(run: HomeRun, folder: Path) -> None:
+def take_pictures(run: HomeRun) -> None:
     """Open the dashboard on a telephone and on a desk: no card complains. Save what its first view shows."""
-    with HeadlessChromium(folder) as browser:
-        browser.log_in(run.home.url, run.home.token)
-        browser.keep_port(run.home.url)
-        for name, (width, height) in SIZES.items():
+    with browser() as driver:
+        log_in(driver, run.home.url, run.home.token)
+        keep_port(driver, run.home.url)
+        for name, size in SIZES.items():
+            resize(driver, size)
             for view, (card, cards) in VIEWS.items():
-                browser.open(f"{run.home.url}/green-house/{view}", width, height)
-                wait_for(lambda card=card, cards=cards: browser.count(card) >= cards, f"{cards} {card}", 60.0)
+                driver.get(f"{run.home.url}/green-house/{view}")
+                wait_for(lambda card=card, cards=cards: count(driver, card) >= cards, f"{cards} {card}", 60.0)
                 time.sleep(SETTLED_S)
-                assert not browser.count("hui-error-card") + browser.count("hui-warning"), view
-            browser.picture(IMAGES / f"{name}.png")
-            size = (IMAGES / f"{name}.png").stat().st_size
-            run.say(f"dashboard at {width} pixels: every card drawn; {name}.png, {size / 1000:.0f} kB")
+                assert not count(driver, "hui-error-card") + count(driver, "hui-warning"), view
+            driver.save_screenshot(str(IMAGES / f"{name}.png"))
+            kilobytes = (IMAGES / f"{name}.png").stat().st_size / 1000
+            run.say(f"dashboard at {size[0]} pixels: every card drawn; {name}.png, {kilobytes:.0f} kB")
 
 
-def every_check(run: HomeRun, folder: Path) -> None:
+def every_check(run: HomeRun) -> None:
     """Run them all, in an order in which none disturbs the next."""
     begin = time.monotonic()
     checks.check_entities(run, "after the start", begin)
@@ -62,7 +64,7 @@ def every_check(run: HomeRun, folder: Path) -> None:
     checks.check_manual(run)
     checks.check_words(run)
     run.say(f"the slowest order was shown after {run.slowest_s:.2f} s")
-    take_pictures(run, folder)
+    take_pictures(run)
     run.daemon.ask("discard", id=run.attribute("sensor.proposal", "id"))
     checks.check_availability(run)
     checks.check_log(run)
@@ -107,7 +109,7 @@ def lines_of(version: str) -> list[str]:
     first += f", found or installed within {time.monotonic() - begin:.0f} s"
     print(first, flush=True)
     with tempfile.TemporaryDirectory() as name, rig_at_home(tree, Path(name)) as run:
-        every_check(run, Path(name))
+        every_check(run)
         return ["", first, *run.lines]
 
 

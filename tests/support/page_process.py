@@ -1,6 +1,5 @@
 """The page as a process for tests, and a client that asks as a browser does."""
 
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from typing import Any
 import requests
 import yaml
 
-from bench.support.broker import wait_for
+from bench.support.broker import free_port, wait_for
 from bench.support.daemon_process import ROOT, configuration
 from edge.board.virtual_rig import die_with_parent
 from edge.page.access import DAY_S, Access, Role
@@ -82,11 +81,6 @@ class PageProcess:
             return requests.get(self.base, timeout=2).ok
         except requests.RequestException:
             return False
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
 
 
 @contextmanager

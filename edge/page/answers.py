@@ -1,0 +1,60 @@
+"""Parts of every route: values of a request, checked; answers as JSON; work that waits for the disk."""
+
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+from typing import Any
+
+import anyio.to_thread
+from starlette.requests import Request
+from starlette.responses import JSONResponse
+
+from edge.core.errors import RequestError
+from edge.formats.reader import DocumentError, parse_json
+
+Json = dict[str, Any]
+
+
+class NotAllowed(Exception):
+    """A request without the right to it."""
+
+    def __init__(self, status: HTTPStatus, reason: str) -> None:
+        super().__init__(reason)
+        self.status = status
+
+
+async def in_thread(call: Callable[..., Any], *arguments: Any) -> Any:
+    """Call something that waits for the disk."""
+    return await anyio.to_thread.run_sync(call, *arguments)
+
+
+def answer(code: HTTPStatus = HTTPStatus.OK, /, **values: Any) -> JSONResponse:
+    """Return values as JSON."""
+    return JSONResponse(values, code)
+
+
+async def document(request: Request) -> Json:
+    """Return the JSON object of a request. Errors: RequestError"""
+    try:
+        return parse_json(await request.body(), "the body")
+    except DocumentError as error:
+        raise RequestError(str(error)) from None
+
+
+def text(values: Mapping[str, Any], key: str, most: int = 200) -> str:
+    """Return a text of a request. Errors: RequestError"""
+    value = values.get(key)
+    if not isinstance(value, str) or not 0 < len(value) <= most:
+        raise RequestError(f"{key}: a text of 1 to {most} characters is needed")
+    return value
+
+
+def number(values: Mapping[str, Any], key: str, otherwise: float | None = None) -> float:
+    """Return a number of a request or its address. Errors: RequestError"""
+    value = values.get(key, otherwise)
+    try:
+        found = float("nan") if isinstance(value, bool) or value is None else float(value)
+    except (TypeError, ValueError):
+        found = float("nan")
+    if not abs(found) < 1e12:
+        raise RequestError(f"{key}: a number is needed")
+    return found

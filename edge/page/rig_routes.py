@@ -1,0 +1,125 @@
+"""Routes of the rig: what it does, did and why; orders and the stop."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from http import HTTPStatus
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+
+from edge.core.errors import RequestError
+from edge.core.messages import Severity
+from edge.page import history
+from edge.page.access import Visitor
+from edge.page.answers import Json, NotAllowed, answer, document, in_thread, number
+from edge.page.orders import NEEDS, problem
+from edge.page.page_state import Page
+
+STREAMS_MAX, STREAMS_OF_ONE = 40, 4
+BEAT_S = 5.0  # between two signs of life on a quiet stream
+
+
+async def view(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return what is known now."""
+    page.rig.look_now()
+    return answer(ok=True, **page.rig.view())
+
+
+async def stream(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return what is known now, and again with every change, as server-sent events."""
+    if sum(map(len, page.streams.values())) >= STREAMS_MAX:
+        raise NotAllowed(HTTPStatus.SERVICE_UNAVAILABLE, f"{STREAMS_MAX} viewers look already")
+    own = page.streams.setdefault(visitor.session, [])
+    if len(own) >= STREAMS_OF_ONE:
+        own.pop(0).set()
+    ended = asyncio.Event()
+    own.append(ended)
+    return StreamingResponse(_views(page, visitor, ended), media_type="text/event-stream")
+
+
+async def _views(page: Page, visitor: Visitor, ended: asyncio.Event) -> AsyncIterator[str]:
+    page.rig.viewers += 1
+    page.rig.look_now()
+    try:
+        while not ended.is_set():
+            yield f"data: {json.dumps(page.rig.view(), separators=(',', ':'))}\n\n"
+            await page.rig.next_news(BEAT_S)
+    finally:
+        page.rig.viewers -= 1
+        own = page.streams.get(visitor.session, [])
+        if ended in own:
+            own.remove(ended)
+        if not own:
+            page.streams.pop(visitor.session, None)
+
+
+async def course(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return columns of the history between two times."""
+    given = request.query_params
+    first_utc, last_utc = number(given, "from_utc"), number(given, "to_utc")
+    points = int(number(given, "points", 600))
+    return answer(ok=True, columns=await in_thread(history.course, page.history, first_utc, last_utc, points))
+
+
+async def span(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return how far the history goes back."""
+    return answer(ok=True, **await in_thread(history.span, page.history))
+
+
+async def why(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return the reasons of the command that held at a time."""
+    found = await page.rig.ask({"do": "why", "at_utc": number(request.query_params, "at_utc")})
+    return _passed_on(found)
+
+
+async def events(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return events, the newest first, and who has acknowledged them."""
+    given = request.query_params
+    kinds = tuple(severity.value for severity in Severity)
+    least = given.get("least", kinds[0])
+    if least not in kinds:
+        raise RequestError(f"least: one of {', '.join(kinds)}")
+    before_utc = number(given, "before_utc") if "before_utc" in given else None
+    most = int(number(given, "most", 50))
+    found = await in_thread(history.events, page.history, before_utc, kinds[kinds.index(least) :], most)
+    first_seq = min((event["seq"] for event in found), default=0)
+    seen = await in_thread(page.access.who_acknowledged, first_seq)
+    rows = [event | {"acknowledged_by": seen.get((event["seq"], event["number"]))} for event in found]
+    return answer(ok=True, events=rows)
+
+
+async def acknowledge(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Note that the visitor has seen an alarm."""
+    given = await document(request)
+    seq, place = int(number(given, "seq")), int(number(given, "number"))
+    await in_thread(page.access.acknowledge, seq, place, visitor.name)
+    return answer(ok=True)
+
+
+async def stop(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Stop the rig."""
+    return _passed_on(await page.rig.stop(_author(visitor)))
+
+
+async def order(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Pass an order on to the daemon, with its author."""
+    given = await document(request)
+    if reason := problem(given, visitor.role):
+        known = isinstance(given.get("do"), str) and given["do"] in NEEDS
+        raise NotAllowed(HTTPStatus.FORBIDDEN if known else HTTPStatus.BAD_REQUEST, reason)
+    if given["do"] == "emergency_stop":
+        return await stop(page, request, visitor)
+    return _passed_on(await page.rig.ask(given | {"by": _author(visitor)}))
+
+
+def _author(visitor: Visitor) -> str:
+    return f"{visitor.name} (page)"
+
+
+def _passed_on(found: Json) -> JSONResponse:
+    """Return the daemon's answer; its refusals are the asker's fault, its silence is not."""
+    if found.get("ok"):
+        return JSONResponse(found)
+    status = HTTPStatus.GATEWAY_TIMEOUT if found.pop("unreached", False) else HTTPStatus.BAD_REQUEST
+    return JSONResponse(found, status)

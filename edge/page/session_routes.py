@@ -1,0 +1,89 @@
+"""Routes of visitors: enter, leave, who has a session, links for others."""
+
+from http import HTTPStatus
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from edge.config.settings import Settings
+from edge.core.errors import RequestError
+from edge.core.version import __version__
+from edge.page.access import DAY_S, LINK_DAYS_MAX, ROLES, Role, Visitor
+from edge.page.answers import Json, NotAllowed, answer, document, in_thread, number, text
+from edge.page.orders import NEEDS
+from edge.page.page_state import COOKIE, TRY_EVERY_S, Page
+
+COOKIE_S = int(365 * DAY_S)  # the session ends before, on this side
+
+
+async def enter(page: Page, request: Request, _: Visitor) -> Response:
+    """Begin a session by a link's secret, or by name and password."""
+    given = await document(request)
+    browser = request.headers.get("user-agent", "")
+    if "link" in given:  # too long to be guessed
+        begun = await in_thread(page.access.enter, text(given, "link"), browser)
+        wrong = "this link is not valid any more, or was used already"
+    else:
+        name, password = text(given, "name", 40), text(given, "password")
+        if not page.may_try(request, name):
+            raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, f"too many tries: wait {TRY_EVERY_S:g} s")
+        begun = await in_thread(page.access.log_in, name, password, browser)
+        wrong = "name or password is wrong"
+    if begun is None:
+        raise NotAllowed(HTTPStatus.UNAUTHORIZED, wrong)
+    secret, visitor = begun
+    response = answer(ok=True, **_me(visitor))
+    secure = request.url.scheme == "https" or request.headers.get("x-forwarded-proto") == "https"
+    response.set_cookie(COOKIE, secret, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure)
+    return response
+
+
+async def leave(page: Page, request: Request, visitor: Visitor) -> Response:
+    """End the visitor's own session."""
+    await in_thread(page.access.revoke, visitor.session)
+    response = answer(ok=True)
+    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
+    return response
+
+
+async def me(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return who asks, and what they may order."""
+    return answer(ok=True, **_me(visitor), **_rig(page.settings))
+
+
+def _rig(settings: Settings) -> Json:
+    return {"rig": settings.mqtt.rig, "controllers": settings.controllers, "version": __version__}
+
+
+def _me(visitor: Visitor) -> Json:
+    may = [kind for kind, needed in NEEDS.items() if visitor.role >= needed]
+    return {"name": visitor.name, "role": visitor.role.word, "session": visitor.session, "may": may}
+
+
+async def sessions(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return all sessions."""
+    return answer(ok=True, sessions=await in_thread(page.access.sessions))
+
+
+async def revoke(page: Page, request: Request, visitor: Visitor) -> Response:
+    """End a session, of whomever."""
+    session = request.path_params["session"]
+    if not await in_thread(page.access.revoke, session):
+        raise RequestError(f"there is no session {session}")
+    for ended in page.streams.get(session, ()):
+        ended.set()
+    return answer(ok=True)
+
+
+async def make_link(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Make a link: to view for many, to operate for one."""
+    given = await document(request)
+    role = ROLES.get(text(given, "role"))
+    if role is None:
+        raise RequestError(f"role: one of {', '.join(ROLES)}")
+    days = number(given, "days")
+    if not 0.0 < days <= LINK_DAYS_MAX:
+        raise RequestError(f"days: above 0, at most {LINK_DAYS_MAX:g}")
+    uses = None if role is Role.VIEW else 1
+    secret = await in_thread(page.access.make_link, role, text(given, "name", 40), days * DAY_S, uses)
+    return answer(ok=True, link=secret, role=role.word, days=days)
