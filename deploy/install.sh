@@ -33,7 +33,7 @@ install_program() {
     done
     run find "$opt/src" -name __pycache__ -prune -exec rm -rf {} +
     [ -x "$opt/venv/bin/python" ] || run "$python" -m venv "$opt/venv"
-    run "$opt/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$opt/src"
+    run "$opt/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$opt/src[page]"
     run install -d "$root/usr/local/bin"
     run ln -sfn /opt/greenhouse/venv/bin/greenhouse "$root/usr/local/bin/greenhouse"
 }
@@ -48,7 +48,7 @@ install_config() {
     if [ -n "$dry_run" ]; then
         echo "  systemd-tmpfiles --create $source/deploy/greenhouse.tmpfiles"
     else
-        sed "s/ greenhouse\>/ $owner/g" "$source/deploy/greenhouse.tmpfiles" |
+        sed "${owner:+s/ greenhouse\(-page\)\?\>/ $owner/g}" "$source/deploy/greenhouse.tmpfiles" |
             systemd-tmpfiles ${root:+--root="$root"} --create -
     fi
 }
@@ -69,9 +69,10 @@ start_service() {
     run udevadm control --reload
     run udevadm trigger --subsystem-match=tty
     run systemctl daemon-reload
-    run systemctl enable --quiet greenhouse.service greenhouse-diagnosis.path
+    run systemctl enable --quiet greenhouse.service greenhouse-diagnosis.path greenhouse-page.service
     run systemctl restart greenhouse-diagnosis.path
     run systemctl try-restart greenhouse.service
+    run systemctl restart greenhouse-page.service
 }
 
 dry_run="" root="" python="${PYTHON:-python3}"
@@ -87,7 +88,7 @@ done
 
 source=$(cd "$(dirname "$0")/.." && pwd)
 units="greenhouse.service greenhouse-diagnosis.path greenhouse-diagnosis.service"
-units="$units greenhouse-evidence.service greenhouse-evidence.timer"
+units="$units greenhouse-evidence.service greenhouse-evidence.timer greenhouse-page.service"
 opt="$root/opt/greenhouse" etc="$root/etc/greenhouse"
 
 [ -n "$dry_run$root" ] || [ "$(id -u)" = 0 ] || die "must be run as root: sudo deploy/install.sh (or --dry-run)"
@@ -98,9 +99,10 @@ command -v "$python" >/dev/null || die "$python is missing: apt install python3 
 
 [ ! -L "$opt/venv" ] || die "the Debian package is installed: upgrade that, or first apt remove greenhouse"
 
-owner=$(id -u) # of what the daemon may read and others may not; here also the group
-if [ -z "$root" ]; then
-    owner=greenhouse
+owner="" # of every folder; empty: as the file says
+if [ -n "$root" ]; then
+    owner=$(id -u)
+else
     run systemd-sysusers "$source/deploy/greenhouse.sysusers"
 fi
 install_program
@@ -113,4 +115,5 @@ Installed. On a first installation now
   greenhouse setup (the board, its outputs, the box), or
   edit $etc/edge.yaml, then: greenhouse check-config $etc/edge.yaml
   systemctl start greenhouse; journalctl -fu greenhouse
+The page runs for this machine alone; for a browser elsewhere: sudo greenhouse page pair
 EOF

@@ -14,12 +14,13 @@ if [ -L "$root/opt/greenhouse/venv" ]; then
 fi
 if [ -z "$root" ] && [ -d /run/systemd/system ]; then
     # Stopping turns the heater off.
-    systemctl disable --now greenhouse-evidence.timer greenhouse-diagnosis.path greenhouse.service || true
+    systemctl disable --now greenhouse-page.service greenhouse-evidence.timer greenhouse-diagnosis.path \
+        greenhouse.service || true
 fi
 rm -f "$root/etc/systemd/system/greenhouse.service" "$root/etc/systemd/system/greenhouse-diagnosis.path" \
     "$root/etc/systemd/system/greenhouse-diagnosis.service" \
     "$root/etc/systemd/system/greenhouse-evidence.service" "$root/etc/systemd/system/greenhouse-evidence.timer" \
-    "$root/etc/udev/rules.d/70-greenhouse.rules" \
+    "$root/etc/systemd/system/greenhouse-page.service" "$root/etc/udev/rules.d/70-greenhouse.rules" \
     "$root/usr/local/bin/greenhouse"
 rm -rf "$root/opt/greenhouse" "$root/usr/share/doc/greenhouse"
 if [ -z "$root" ] && [ -d /run/systemd/system ]; then
@@ -27,6 +28,7 @@ if [ -z "$root" ] && [ -d /run/systemd/system ]; then
     udevadm control --reload
 fi
 cat <<EOF
-Removed. Kept: $root/etc/greenhouse and $root/var/lib/greenhouse.
-To remove those too: rm -r $root/etc/greenhouse $root/var/lib/greenhouse; userdel greenhouse
+Removed. Kept: $root/etc/greenhouse, $root/var/lib/greenhouse and $root/var/lib/greenhouse-page.
+To remove those too: rm -r $root/etc/greenhouse $root/var/lib/greenhouse $root/var/lib/greenhouse-page;
+userdel greenhouse-page; userdel greenhouse
 EOF

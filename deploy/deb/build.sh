@@ -33,7 +33,7 @@ install_packages() { # into $site, for $machine
     platforms="--platform=manylinux2014_$machine $(seq -f "--platform=manylinux_2_%.0f_$machine" 17 36)" # glibc 2.36
     # shellcheck disable=SC2086 # words are meant
     "$python" -m pip install --quiet --no-compile --target "$site" --only-binary=:all: --implementation cp \
-        --python-version 3.11 $platforms --constraint "$here/versions.txt" "$work"/*.whl
+        --python-version 3.11 $platforms --constraint "$here/versions.txt" "$(echo "$work"/*.whl)[page]"
     # sqlite-utils asks for pip, for a command of its own; scripts and direct_url.json name this machine's folders.
     rm -rf "$site/bin" "$site"/pip "$site"/pip-*.dist-info "$site"/*.dist-info/direct_url.json
     sed -i -e '/^\.\.\/\.\.\/bin\//d' -e '/\/direct_url\.json,/d' "$site"/*.dist-info/RECORD
@@ -59,9 +59,7 @@ fill_program() {
 
 fill_system() {
     deploy="$source/deploy" doc="$root/usr/share/doc/greenhouse"
-    for unit in greenhouse.service greenhouse-diagnosis.path greenhouse-diagnosis.service; do
-        install -D -m 0644 "$deploy/$unit" "$root/lib/systemd/system/$unit"
-    done
+    install -D -m 0644 -t "$root/lib/systemd/system" "$deploy"/*.service "$deploy"/*.path "$deploy"/*.timer
     install -D -m 0644 "$deploy/70-greenhouse.rules" "$root/lib/udev/rules.d/70-greenhouse.rules"
     install -D -m 0644 "$deploy/greenhouse.sysusers" "$root/usr/lib/sysusers.d/greenhouse.conf"
     install -D -m 0644 "$deploy/greenhouse.tmpfiles" "$root/usr/lib/tmpfiles.d/greenhouse.conf"

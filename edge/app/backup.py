@@ -30,8 +30,9 @@ from edge.formats.cross_check import Rule
 from edge.formats.reader import parse_json, read
 
 MANIFEST, LAYOUT = "manifest.json", 1
-CONFIG, HISTORY, STATE = "edge.yaml", "history.db", "state.json"
-BESIDE_A_DATABASE = ("-wal", "-shm")  # of the old one; beside a new one they would spoil it
+CONFIG, HISTORY, STATE, PAGE = "edge.yaml", "history.db", "state.json", "page.db"
+DATABASES = (HISTORY, PAGE)
+BESIDE_A_DATABASE = ("-wal", "-shm", "-journal")  # of the old one; beside a new one they would spoil it
 COPIES = 3  # of a folder that changes while it is read
 _NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*", re.ASCII)
 _CHUNK = 1 << 20
@@ -68,6 +69,7 @@ def places(config: Path, settings: Settings) -> dict[str, Path]:
         HISTORY: Path(settings.history.path),
         "evidence": settings.history.evidence,
         STATE: Path(settings.state_file),
+        PAGE: Path(settings.page.folder) / PAGE,
     }
     return {name: path for name, path in found.items() if path is not None}
 
@@ -99,7 +101,7 @@ def back_up(config: Path, out: Path) -> dict[str, int]:
 
 def _copy(part: str, path: Path, target: Path) -> int:
     """Copy one file, folder or database as it is at one moment; return its bytes."""
-    if part == HISTORY:
+    if part in DATABASES:
         try:
             with (
                 closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as source,
@@ -236,7 +238,7 @@ def _put(source: Path, path: Path, stamp: str) -> Path | None:
     kept = path.with_name(f"{path.name}.before-{stamp}") if path.exists() else None
     if kept is not None:
         move(path, kept)
-    for ending in BESIDE_A_DATABASE if source.name == HISTORY else ():
+    for ending in BESIDE_A_DATABASE if source.name in DATABASES else ():
         beside = path.with_name(path.name + ending)
         if beside.exists():
             move(beside, path.with_name(f"{path.name}.before-{stamp}{ending}"))

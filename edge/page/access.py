@@ -6,6 +6,7 @@ be guessed from that. Passwords are short, so they are kept by scrypt.
 
 import hashlib
 import hmac
+import os
 import secrets
 import sqlite3
 import time
@@ -210,7 +211,7 @@ class Access:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
             with closing(sqlite3.connect(self.path, timeout=BUSY_S, isolation_level=None)) as db:
-                self.path.chmod(0o600)
+                self._keep_to_owner()
                 db.executescript(SCHEMA)
                 db.execute("BEGIN IMMEDIATE")
                 with db:  # commits, or rolls back
@@ -218,15 +219,22 @@ class Access:
         except (sqlite3.Error, OSError) as error:
             raise DataError(f"{self.path}: {error}") from error
 
+    def _keep_to_owner(self) -> None:
+        """Let the folder's owner alone read the file, also where root has made it."""
+        self.path.chmod(0o600)
+        owner = self.path.parent.stat()
+        if os.geteuid() == 0:
+            os.chown(self.path, owner.st_uid, owner.st_gid)
+
     @contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:
-        if not self.path.exists():
-            with self._writing():
-                pass
         try:
+            if not self.path.exists():
+                with self._writing():
+                    pass
             with closing(sqlite3.connect(self.path, timeout=BUSY_S)) as db:
                 yield db
-        except sqlite3.Error as error:
+        except (sqlite3.Error, OSError) as error:
             raise DataError(f"{self.path}: {error}") from error
 
 

@@ -63,7 +63,7 @@ check() { # TEXT COMMAND...
         passed=$((passed + 1))
         echo "ok   $text"
     else
-        echo "FAIL $text: $*" && cat "$work/out" && exit 1
+        echo "FAIL $text: $*" && cat "$work/out" "$work/last" && exit 1
     fi
 }
 not() { ! "$@"; }
@@ -74,9 +74,25 @@ install_deb() {                                       # VERSION
 }
 version_runs() { within greenhouse --version | grep -q "greenhouse $1"; }
 state_is() { [ "$(within dpkg-query -W -f '${db:Status-Status}' greenhouse)" = "$1" ]; }
+page_pid() { within systemctl show -P MainPID greenhouse-page; }
 daemon_pid() { within systemctl show -P MainPID greenhouse; }
 daemon_folder() { within readlink "/proc/$(daemon_pid)/cwd" >/dev/null && within cat "/proc/$(daemon_pid)/cmdline" | tr '\0' ' '; }
 runs_from() { daemon_folder | grep -q "^/opt/greenhouse/$1/bin/python "; }
+page() { # PATH KEY...: what the page answers to a browser that has just been paired
+    link=$(within greenhouse page pair 2>/dev/null)
+    within python3 /srv/page_check.py "$link" "$@"
+}
+page_says() { # VALUE PATH KEY...
+    expected="$1" && shift
+    found=$(page "$@") && echo "$found" && [ "$found" = "$expected" ]
+}
+later() { # COMMAND...: within ten seconds
+    tries=20
+    until "$@"; do
+        tries=$((tries - 1)) && [ $tries -gt 0 ] || return 1
+        sleep 0.5
+    done
+}
 link_is() { [ "$(readlink "$root/opt/greenhouse/venv")" = "$1" ]; }
 
 renumber='sed -i "s/__version__ = .*/__version__ = \"$v\"/" core/version.py; find core -name "version.*.pyc" -delete'
@@ -133,7 +149,7 @@ without_systemd() {
     check "installs again" install_deb 1
     check "with the settings of before" grep -q 'reference_c: 25' "$root/etc/greenhouse/edge.yaml"
     check "purges" within apt-get purge -y greenhouse
-    check "settings, history and user are gone" not within sh -c 'ls -d /etc/greenhouse /var/lib/greenhouse || getent passwd greenhouse'
+    check "settings, history and user are gone" not within sh -c 'ls -d /etc/greenhouse /var/lib/greenhouse* || getent passwd greenhouse greenhouse-page'
     mkdir -p "$root/opt/greenhouse/venv"
     check "an installation by install.sh is not overwritten" not install_deb 1
     check "and its removal is explained" says 'deploy/uninstall.sh'
@@ -142,13 +158,31 @@ without_systemd() {
 with_systemd() {
     check "installs" install_deb 1
     check "heats only when a person has started it" not within systemctl --quiet is-active greenhouse
+    cp "$source/tests/deploy/page_check.py" "$root/srv/"
+    check "the page runs" within systemctl --quiet is-active greenhouse-page
+    check "and listens to this machine alone" later sh -c "nsenter -t $pid1 -n ss -Hltn sport = :8420 | grep -q '127.0.0.1:8420'"
+    check "the page says that the daemon is not there" later page_says False view reached
+    check "from then on it listens to the network" later sh -c "nsenter -t $pid1 -n ss -Hltn sport = :8420 | grep -q '\*:8420'"
+    check "root's links belong to the page" within sh -c '[ "$(stat -c %U:%a /var/lib/greenhouse-page/page.db)" = greenhouse-page:600 ]'
     check "starts" within systemctl start greenhouse
+    check "the page reaches the daemon" later page_says True view reached
+    check "the page reads the history" later not page_says None span newest_utc
+    check "and cannot write to it" not within runuser -u greenhouse-page -- sh -c 'echo x >>/var/lib/greenhouse/history.db'
+    touch "$root/etc/greenhouse/keys/any"
+    check "nor see keys" not within nsenter -t "$(page_pid)" -m test -e /etc/greenhouse/keys/any
+    kill -STOP "$(pgrep -P "$pid1" -f 'edge run')" # a daemon that hangs
+    check "a stop of the page waits for a daemon that hangs" page_says True stop waits
+    kill -CONT "$(pgrep -P "$pid1" -f 'edge run')"
+    check "and is taken by it" later not test -e "$root/var/lib/greenhouse/stops/stop.json"
+    check "the page shows it" later page_says True view status operation emergency_stop
+    echo "     the page's memory: $(within systemctl show -P MemoryCurrent greenhouse-page) bytes"
     check "runs as its user, from the folder a" runs_from a
     check "answers" within greenhouse status
     before=$(daemon_pid)
     check "upgrades while it runs" install_deb 2
     check "the daemon was restarted" not test "$before" = "$(daemon_pid)"
     check "runs from the folder b" runs_from b
+    check "and so does the page" page_says True view reached
     before=$(daemon_pid)
     check "an upgrade with a damaged model fails" not install_deb 3-nomodel
     check "the daemon was not even restarted" test "$before" = "$(daemon_pid)"
@@ -165,6 +199,7 @@ with_systemd() {
     check "the watchdog has restarted a daemon that hung" sh -c "[ $(within systemctl show -P NRestarts greenhouse) -ge 1 ]"
     check "removes" within apt-get remove -y greenhouse
     check "the daemon has ended" not within systemctl --quiet is-active greenhouse
+    check "and so has the page" not within systemctl --quiet is-active greenhouse-page
     check "purges" within apt-get purge -y greenhouse
     check "systemd knows it no more" not within systemctl cat greenhouse
 }

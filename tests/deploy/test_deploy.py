@@ -30,7 +30,9 @@ DIAGNOSIS = DEPLOY / "greenhouse-diagnosis.service"
 PATH_UNIT = DEPLOY / "greenhouse-diagnosis.path"
 EVIDENCE = DEPLOY / "greenhouse-evidence.service"
 TIMER = DEPLOY / "greenhouse-evidence.timer"
-EXPOSURE_MAX = {UNIT: 2.0, DIAGNOSIS: 1.0, EVIDENCE: 1.0}
+PAGE = DEPLOY / "greenhouse-page.service"
+UNITS = (UNIT, DIAGNOSIS, PATH_UNIT, EVIDENCE, TIMER, PAGE)
+EXPOSURE_MAX = {UNIT: 2.0, DIAGNOSIS: 1.0, EVIDENCE: 1.0, PAGE: 2.0}
 NOBODY = 65534
 # Asked for and done without: sqlite gives files that root makes to their owner, OpenBLAS places memory.
 DISPENSABLE_CALLS = {"fchown", "mbind"}
@@ -60,10 +62,10 @@ def test_the_unit_is_hardened(unit: Path) -> None:
 
 @needs("systemd-analyze")
 def test_systemd_has_nothing_to_say_against_the_units(tmp_path: Path) -> None:
-    for unit in (UNIT, DIAGNOSIS, PATH_UNIT, EVIDENCE, TIMER):
+    for unit in UNITS:
         text = re.sub(r"/opt/greenhouse/venv/bin/\w+", shutil.which("true") or "", unit.read_text())
         (tmp_path / unit.name).write_text(text)
-    for unit in (UNIT, DIAGNOSIS, PATH_UNIT, EVIDENCE, TIMER):
+    for unit in UNITS:
         done = subprocess.run(
             ["systemd-analyze", "verify", "--man=no", str(tmp_path / unit.name)],
             capture_output=True,
@@ -93,6 +95,22 @@ def test_the_evidence_unit_seals_with_the_rigs_configuration() -> None:
     assert (arguments.action, arguments.config) == ("extend", Path("/etc/greenhouse/edge.yaml"))
     assert TIMER.stem == EVIDENCE.stem
     assert values("OnCalendar", TIMER) == ["*-*-* 00:20:00 UTC"]
+
+
+def test_the_page_has_a_user_of_its_own_in_the_daemons_group() -> None:
+    assert values("ExecStart", PAGE) == [
+        "/opt/greenhouse/venv/bin/python -P -m edge.page /etc/greenhouse/edge.yaml"
+    ]
+    assert values("User", PAGE) != values("User")
+    assert values("Group", PAGE) == values("Group")
+
+
+def test_the_default_settings_of_the_page_lie_where_its_unit_allows() -> None:
+    settings = Settings()
+    assert settings.page.folder == f"/var/lib/{values('StateDirectory', PAGE)[0]}"
+    assert f"-{settings.stop_folder}" in values("ReadWritePaths", PAGE)
+    folders = (DEPLOY / "greenhouse.tmpfiles").read_text()
+    assert re.search(rf"^d {settings.stop_folder} +2770 greenhouse +greenhouse$", folders, re.MULTILINE)
 
 
 def test_daemon_path_unit_and_diagnosis_mean_one_folder() -> None:
@@ -294,11 +312,13 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def test_install_puts_everything_in_its_place(installed: Path) -> None:
-    for unit in (UNIT, DIAGNOSIS, PATH_UNIT, EVIDENCE, TIMER):
+    for unit in UNITS:
         assert (installed / "etc/systemd/system" / unit.name).read_bytes() == unit.read_bytes()
     assert (installed / "etc/udev/rules.d/70-greenhouse.rules").exists()
     assert stat.S_IMODE((installed / "opt/greenhouse/venv/bin/greenhouse").stat().st_mode) == 0o755
     assert config.load(installed / "etc/greenhouse/edge.yaml") == config.default()
+    assert stat.S_IMODE((installed / "var/lib/greenhouse/stops").stat().st_mode) == 0o2770
+    assert stat.S_IMODE((installed / "var/lib/greenhouse-page").stat().st_mode) == 0o700
     assert stat.S_IMODE((installed / "etc/greenhouse/edge.yaml").stat().st_mode) == 0o640
     assert stat.S_IMODE((installed / "etc/greenhouse/credentials").stat().st_mode) == 0o700
     assert stat.S_IMODE((installed / "etc/greenhouse/keys").stat().st_mode) == 0o750

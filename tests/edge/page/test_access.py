@@ -1,5 +1,6 @@
 """Links, sessions, passwords and acknowledgements, by a clock of the test's own."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,8 @@ import pytest
 from edge.core.errors import DataError, RequestError
 from edge.page.access import DAY_S, SESSION_S, Access, Role
 from edge.page.orders import NEEDS, problem
+
+NOBODY = 65534
 
 
 class Wall:
@@ -113,6 +116,17 @@ def test_a_file_that_is_no_database_is_told(access: Access) -> None:
     for call in (access.sessions, lambda: access.make_link(Role.VIEW, "x", 1.0), lambda: access.visitor("x")):
         with pytest.raises(DataError, match=r"page\.db"):
             call()
+
+
+def test_a_file_that_root_makes_is_the_folders_owners(tmp_path: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root gives files away")
+    folder = tmp_path / "page"
+    folder.mkdir(mode=0o700)
+    os.chown(folder, NOBODY, NOBODY)
+    access = Access.of(folder)
+    access.open_to_network()
+    assert (access.path.stat().st_uid, access.path.stat().st_mode & 0o777) == (NOBODY, 0o600)
 
 
 def test_every_role_may_stop_and_what_is_not_listed_nobody_may() -> None:
