@@ -27,6 +27,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "import": "read run files into the history",
     "replay": "put recorded runs through the same tick; score forecasts",
     "fit-arx": "fit an ARX model to recorded runs",
+    "profile": "follow a file of targets: start, pause, skip, resume, end",
     "data": "look at logs of another box, convert them to run files",
     "twin": "the physics model: new, simulate, find what it lacks, adopt",
     "backup": "write a rig's settings, state and history into one file",
@@ -42,6 +43,7 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
     "See what it does": ("page", "status", "watch", "why", "plot"),
     "Tell it what to do": (
         "reference",
+        "profile",
         "mode",
         "fan",
         "controller",

@@ -199,6 +199,8 @@ class Daemon:
             loop.note("state.broken", standing.broken)
         if chosen:
             loop.announce("controller.chosen", chosen)
+        if standing.operation.profile is not None and not self.experiment:
+            loop.announce("profile.resumed", f"goes on with {standing.operation.profile.in_words()}")
         if self.commissioning is not None:
             self.commissioning.serve(self.stop, show_commissioning)
         return loop

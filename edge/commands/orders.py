@@ -16,6 +16,7 @@ from edge.core.hard_limits import MAINTENANCE_MAX_MIN
 from edge.sockets.client import request
 from edge.tick.inbox import is_in_force, is_urgent
 from edge.tick.orders import FanMode, Mode
+from edge.tick.standing_profile import profile_of
 
 CLEAR_TRIP = "`greenhouse clear-trip` when the cause is gone"
 # Stops that the board still holds and the daemon does not know of.
@@ -41,6 +42,7 @@ def status_lines(status: Json) -> list[str]:
         **_output_texts(status["echo"]),
         "mode": f"{operation['mode']}, fan {operation['fan_mode']}",
         "controller": _decider(tick, operation),
+        "profile": _profile(operation),
         "asked": operation["steering"] and operation["steering"]["words"],
         "safety": "; ".join(dict.fromkeys(change["reason"] for change in tick["changes"])),
         "last tick": f"{tick['seq']} at {at:%H:%M:%S}, every {tick['step_s']:g} s",
@@ -98,7 +100,14 @@ def _reading(tick: Json, key: str) -> str:
 def _reference_from(operation: Json) -> str:
     if operation["reference_c"] is not None:
         return f"set by hand to {_degrees(operation['reference_c'])}"
-    return "as asked for in words" if operation["steering"] else "as configured"
+    if operation["steering"] and operation["steering"]["daily"]:
+        return "as asked for in words"
+    return "of the profile" if "profile" in operation else "as configured"
+
+
+def _profile(operation: Json) -> str:
+    profile = profile_of(operation)
+    return "" if profile is None else profile.in_words()
 
 
 def _decider(tick: Json, operation: Json) -> str:

@@ -34,6 +34,8 @@ def context_of(
     """Return the context of this tick. limits : those of the safety supervisor"""
     steering = operation.steering_at(moment.utc)
     penalty = Penalty()
+    if operation.profile is not None:
+        configured = operation.profile.reference(moment.since_start_s)
     reference = in_force(operation.reference_c, steering, configured)
     # A request may narrow what the supervisor allows, never widen it.
     if steering is not None:

@@ -86,6 +86,7 @@ class Loop:
         self._sent = Command()
         self._wall_minus_monotonic = rig.clock.utc() - rig.clock.now()
         self._jump_s = 0.0  # of the wall clock since the last tick
+        self._followed_s = self._start_s  # until when the profile's time has been counted
         self._releases = Allowance(RELEASES, 1.0 / RELEASE_EVERY_S, rig.clock.now)
         self._conditions = Conditions()
         self._events = EventLog(ORDERS_TOLD)
@@ -139,6 +140,7 @@ class Loop:
         estimate = rig.estimator.update(readings, now, utc)
         self._end_steering(now, utc)
         self._end_maintenance(now, utc)
+        self._follow_profile(now, utc)
         context = self._context(estimate, now, utc)
         decision, decide_ms = self._decider.decide(self._operation.controller, context)
         wanted, orders = self._apply_orders(
@@ -196,6 +198,20 @@ class Loop:
         self._operation = replace(self._operation, steering=None, before=None)
         self._rig.save_state(self._operation, self._memory)
         self._tell("steering.ended", Severity.INFO, f"{ended.id} has ended: {ended.words}", now)
+
+    def _follow_profile(self, now: float, utc: float) -> None:
+        """Count the profile's time, but not while a person holds everything off."""
+        passed_s, self._followed_s = now - self._followed_s, now
+        before, operation = self._operation.profile, self._operation
+        if before is None or operation.emergency_stop or operation.in_maintenance(utc):
+            return
+        after = before.later(passed_s)
+        self._operation = replace(operation, profile=after)
+        if after.is_due(before):
+            self._rig.save_state(self._operation, self._memory)
+        if after.is_over and not before.is_over:
+            text = f"the profile {after.name} is over; its last target, {after.targets_c[-1]:g} °C, holds"
+            self._tell("profile.over", Severity.INFO, text, now)
 
     def _follow_clock(self) -> None:
         """Set the end of a maintenance with the wall clock: hands are inside for as long as was said."""
@@ -402,6 +418,7 @@ class Loop:
         """Change the standing orders; return what a person has to know of a stop that is not in force yet."""
         clock = self._rig.clock
         self._follow_clock()
+        self._follow_profile(clock.now(), clock.utc())
         before = self._operation
         after = operate(before, request, self._desk())
         if is_released(before, after) and not self._releases.take():
@@ -476,6 +493,8 @@ class Loop:
         return reading.value if reading is not None and reading.quality is ReadingQuality.GOOD else None
 
     def _shut_down(self) -> None:
+        if self._operation.profile is not None:
+            self._rig.save_state(self._operation, self._memory)
         self._rig.board.drive(Command(), False, 0.0)
         if self._rig.board.link_up:
             self._rig.board.serve_until_echo(ECHO_TIMEOUT_S)

@@ -17,6 +17,7 @@ from edge.core.names import HEATER_LEVELS
 from edge.core.plain_text import plain, quote
 from edge.formats.cross_check import ABSENT, REQUIRED, Rule
 from edge.formats.reader import DocumentError, read, read_number
+from edge.tick.standing_profile import NAME_MAX, StandingProfile
 from edge.tick.steering import Steering, problem, steer
 from edge.tick.steering import from_dict as steering_from_dict
 
@@ -79,6 +80,11 @@ _WORDS: dict[str, Callable[[Request], str]] = {
     "maintenance": _maintenance_text,
     "steer": lambda request: f"confirmed: {request['steering']['words']}",
     "undo": lambda _: "what was confirmed last was undone",
+    "start_profile": lambda request: f"the profile {plain(request['profile']['name'], NAME_MAX)} was started",
+    "pause_profile": lambda _: "the profile was paused",
+    "resume_profile": lambda _: "the profile goes on",
+    "skip_profile": lambda _: "the profile was moved to its next point",
+    "end_profile": lambda _: "the profile was ended",
 }
 
 
@@ -124,6 +130,7 @@ class Operation:
     maintenance_until_utc: float | None = None
     steering: Steering | None = None  # what was asked for in words and confirmed
     before: Before | None = None  # what `undo` goes back to
+    profile: StandingProfile | None = None  # stands in the place of the configured reference
 
     def steering_at(self, utc: float) -> Steering | None:
         """None once it has ended."""
@@ -136,7 +143,7 @@ class Operation:
 
 def acts_at_once(before: Operation, after: Operation) -> bool:
     """Return whether new orders change what may be sent now. Reference and controller wait for a decision."""
-    waits = {name: getattr(before, name) for name in ("reference_c", "controller", "before")}
+    waits = {name: getattr(before, name) for name in ("reference_c", "controller", "before", "profile")}
     return replace(after, **waits) != before
 
 
@@ -287,6 +294,13 @@ class Steer:
 
 
 @dataclass(frozen=True, slots=True)
+class StartProfile:
+    """Keys of the request."""
+
+    profile: StandingProfile
+
+
+@dataclass(frozen=True, slots=True)
 class Order:
     """A request's change of the standing orders, and its permitted keys."""
 
@@ -357,6 +371,44 @@ def _undo(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
     return replace(operation, reference_c=before.reference_c, steering=before.steering, before=None)
 
 
+def _start_profile(operation: Operation, asked: StartProfile, desk: Desk) -> Operation:
+    """Begin a profile; a temperature by hand or in words would hide it, so they end."""
+    low, high = desk.reference_min_c, desk.reference_max_c
+    for number, target in enumerate(asked.profile.targets_c):
+        read_number(target, f"profile.targets_c[{number}]", low, high)
+    steering = operation.steering
+    if steering is not None:
+        steering = replace(steering, daily=())
+    profile = replace(asked.profile, name=plain(asked.profile.name, NAME_MAX))
+    return replace(operation, reference_c=None, steering=steering, before=None, profile=profile)
+
+
+def _profile_of(operation: Operation) -> StandingProfile:
+    if operation.profile is None:
+        raise RequestError("no profile is followed")
+    return operation.profile
+
+
+def _pause_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
+    return replace(operation, profile=replace(_profile_of(operation), is_paused=True))
+
+
+def _resume_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
+    return replace(operation, profile=replace(_profile_of(operation), is_paused=False))
+
+
+def _skip_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
+    profile = _profile_of(operation)
+    if profile.next_s is None:
+        raise RequestError("the profile is over: there is no point to move to")
+    return replace(operation, profile=replace(profile, position_s=profile.next_s))
+
+
+def _end_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
+    _profile_of(operation)
+    return replace(operation, profile=None)
+
+
 ORDERS: dict[str, Order] = {
     "set_mode": Order(_set_mode, SetMode),
     "set_fan_mode": Order(_set_fan_mode, SetFanMode),
@@ -368,4 +420,9 @@ ORDERS: dict[str, Order] = {
     "maintenance": Order(_maintenance, StartMaintenance),
     "steer": Order(_steer, Steer),
     "undo": Order(_undo),
+    "start_profile": Order(_start_profile, StartProfile),
+    "pause_profile": Order(_pause_profile),
+    "resume_profile": Order(_resume_profile),
+    "skip_profile": Order(_skip_profile),
+    "end_profile": Order(_end_profile),
 }

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any
 
 from edge.core.messages import Command
@@ -11,15 +11,13 @@ from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.reader import DocumentError, read, read_number
 from edge.tick import steering as steerings
 from edge.tick.orders import UTC_MAX, Before, FanMode, Mode, Operation
+from edge.tick.standing_profile import REFERENCE_C, StandingProfile, Target
 from edge.tick.steering import Steering
-
-REFERENCE_C = (-20.0, 80.0)  # sanity: the limits of today's settings are checked when an order is given [°C]
-Reference = Annotated[float, Rule(low=REFERENCE_C[0], high=REFERENCE_C[1])]
 
 
 def to_dict(operation: Operation) -> dict[str, Any]:
-    """JSON values, for the state file."""
-    return {
+    """JSON values, for the state file; "profile" only where one is followed: earlier software knows none."""
+    values = {
         **asdict(operation),
         "mode": operation.mode.value,
         "fan_mode": operation.fan_mode.value,
@@ -27,6 +25,13 @@ def to_dict(operation: Operation) -> dict[str, Any]:
         "steering": _steering_dict(operation.steering),
         "before": None if operation.before is None else _before_dict(operation.before),
     }
+    profile = values.pop("profile")
+    return values if profile is None else {**values, "profile": _under_keys(StandingProfile, profile)}
+
+
+def _under_keys(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values under a document's keys, which may differ from the names of fields."""
+    return {item.metadata.get("key", item.name): values[item.name] for item in fields(kind)}
 
 
 def _manual_dict(manual: Command) -> dict[str, Any]:
@@ -44,17 +49,18 @@ def _steering_dict(steering: Steering | None) -> dict[str, Any] | None:
 
 @dataclass(frozen=True, slots=True)
 class OperationDocument(CheckedDocument):
-    """Orders as `to_dict` writes them; steering and before are not in files of earlier software."""
+    """Orders as `to_dict` writes them; steering, before and profile are not in files of earlier software."""
 
     controller: str
     mode: Mode
     fan_mode: FanMode
-    reference_c: Reference | None
+    reference_c: Target | None
     manual: Command
     emergency_stop: bool
     maintenance_until_utc: Annotated[float, Rule(low=0.0, high=UTC_MAX)] | None
     steering: Steering | None = None
     before: Before | None = None
+    profile: StandingProfile | None = None
 
     def cross_check(self) -> None:
         """Refuse orders that no operator could have given at any time."""
@@ -91,4 +97,5 @@ def from_dict(values: Mapping[str, Any]) -> Operation:
         found.maintenance_until_utc,
         found.steering,
         found.before,
+        found.profile,
     )

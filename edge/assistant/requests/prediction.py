@@ -20,6 +20,7 @@ from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.core.errors import DataError
 from edge.core.names import HEATER_LEVELS
 from edge.tick.reference import DAY_S, Reference, make_reference, seconds_of_day, zone_of
+from edge.tick.standing_profile import profile_of
 from edge.tick.steering import Steering, in_force, reference_of
 from edge.tick.steering import from_dict as steering_from_dict
 from edge.twin.model import BoxTwin
@@ -205,7 +206,7 @@ def predict_day(
     midnight_s = seconds_of_day(tick["utc"], zone_of(settings.timezone))
     here = DayStart(temp, ambient, status["since_start_s"], midnight_s)
     standing = operation["steering"] and steering_from_dict(operation["steering"])
-    configured = in_force(operation["reference_c"], standing, make_reference(settings.reference))
+    configured = in_force(operation["reference_c"], standing, _without_words(status, settings))
     before = _goal(configured, standing, operation["controller"], settings)
     after = _goal(reference_of(steering) or configured, steering, operation["controller"], settings)
     try:
@@ -215,6 +216,12 @@ def predict_day(
         }
     except DataError as error:
         return {"reason": str(error)}
+
+
+def _without_words(status: Mapping[str, Any], settings: Settings) -> Reference:
+    """Return the reference where nobody has set one by hand or in words."""
+    profile = profile_of(status["operation"])
+    return profile.reference(status["since_start_s"]) if profile else make_reference(settings.reference)
 
 
 def _goal(

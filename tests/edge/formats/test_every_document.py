@@ -68,6 +68,7 @@ from edge.tick.orders import (
     SetMode,
     SetReference,
     StartMaintenance,
+    StartProfile,
     Steer,
     operate,
     read_request,
@@ -126,6 +127,11 @@ REQUESTS: dict[str, tuple[type, Any, tuple[str | int, ...]]] = {
     "set_controller": (SetController, {"name": "MPC"}, ("name",)),
     "set_manual": (SetManual, {"heater_duty": 0.5, "fan_on": 1, "led": 0.0}, ("heater_duty",)),
     "maintenance": (StartMaintenance, {"minutes": 5.0}, ("minutes",)),
+    "start_profile": (
+        StartProfile,
+        {"profile": {"name": "a", "times_s": [0.0, 60.0], "targets_c": [20.0, 25.0]}},
+        ("profile", "times_s", 1),
+    ),
     "steer": (Steer, {"steering": steering.to_dict(STEERING)}, ("steering", "until_utc")),
 }
 CONTROLS = {"heater_duty": 0.5, "fan_on": True, "rationale": "because"}

@@ -12,7 +12,7 @@ from edge.mqtt import states
 from edge.tick.status import status_json
 
 # Of the same script at commit 8465879, in which the control thread still encoded its answers itself.
-SHA256 = "975658888970b7e9374f3ab7967db8a455582aab542fa6ce429845aacb403d4c"
+SHA256 = "7629b1e9f1c9e07f9ec9372ecd2ccc67c9db9e03966d6137a845a62b2f61421f"
 TOPICS = (states.decision, states.forecast, states.forecasts, states.skill, states.drift)
 COUNTERS = {"ticks_late": 1, "ticks_skipped": 0, "outbox_depth": None}
 STEERING = {

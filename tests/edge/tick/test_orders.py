@@ -167,13 +167,16 @@ def test_every_order_has_a_test_of_its_effect() -> None:
         "emergency_stop": {},
         "maintenance": {"minutes": 1},
         "steer": {"steering": steerings.to_dict(NIGHT)},
+        "start_profile": {"profile": {"name": "a", "times_s": [0.0], "targets_c": [25.0]}},
     }
     for name, values in changed.items():
         assert ask(do=name, **values) != AUTO
     stopped = ask(do="emergency_stop")
     assert operate(stopped, {"do": "release_emergency_stop"}, DESK) == AUTO
     assert operate(ask(do="steer", steering=steerings.to_dict(NIGHT)), {"do": "undo"}, DESK) == AUTO
-    assert set(ORDERS) == {*changed, "release_emergency_stop", "undo"}
+    # The orders to a profile that is followed: test_standing_profile.py
+    followed = {"pause_profile", "resume_profile", "skip_profile", "end_profile"}
+    assert set(ORDERS) == {*changed, *followed, "release_emergency_stop", "undo"}
 
 
 def test_the_controller_none_is_the_configured_one():
@@ -205,6 +208,11 @@ SAID = {
     "maintenance was ended": {"do": "maintenance", "minutes": 0.0},
     "confirmed: 20 at night": {"do": "steer", "steering": {"words": "20 at night"}},
     "what was confirmed last was undone": {"do": "undo"},
+    "the profile night was started": {"do": "start_profile", "profile": {"name": "night"}},
+    "the profile was paused": {"do": "pause_profile"},
+    "the profile goes on": {"do": "resume_profile"},
+    "the profile was moved to its next point": {"do": "skip_profile"},
+    "the profile was ended": {"do": "end_profile"},
 }
 
 
