@@ -1,6 +1,6 @@
 #!/bin/sh
 # Debian packages that the tests use: a broker, compilers and a simulator for the board's C code,
-# openssl for test certificates, a browser for the page.
+# openssl for test certificates, a browser and a proxy for the page.
 set -eu
 
 missing=""
@@ -13,6 +13,7 @@ need openssl openssl
 need strace strace
 need chromium chromium
 need chromedriver chromium-driver
+need caddy caddy
 need systemd-analyze systemd
 need shellcheck shellcheck
 [ -e /usr/lib/avr/include/avr/io.h ] || missing="$missing avr-libc"

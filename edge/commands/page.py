@@ -2,6 +2,7 @@
 
 import argparse
 import getpass
+import ipaddress
 import os
 import socket
 import sys
@@ -81,10 +82,20 @@ def _serve(file: Path | None) -> None:
 def address(settings: Settings, opened: bool) -> str:
     """Return where a browser finds the page."""
     page = settings.page
+    name = next(iter(page.names), "")
+    if name and _is_loopback(page.host):
+        return f"https://{name}/"  # no name but a proxy's leads to a page that listens to this machine alone
     scheme = "https" if page.certificate else "http"
-    name = next(iter(page.names), "") or (page.host.strip("0:.") and page.host)
+    name = name or (page.host.strip("0:.") and page.host)
     host = name or (f"{socket.gethostname().partition('.')[0]}.local" if opened else "127.0.0.1")
     return f"{scheme}://{f'[{host}]' if ':' in host else host}:{page.port}/"
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def _print_link(

@@ -12,6 +12,7 @@ from edge.config.settings import Settings
 from edge.core.errors import ConfigError
 from edge.page.access import Access
 from edge.page.app import make_app
+from edge.page.certificate import check_certificate
 
 LOCAL = "127.0.0.1"
 CONNECTIONS_MAX = 300
@@ -65,26 +66,22 @@ async def _watch(server: uvicorn.Server, access: Access, opened: bool) -> None:
 
 def _config(settings: Settings) -> uvicorn.Config:
     page = settings.page
-    try:
-        config = uvicorn.Config(
-            make_app(settings),
-            http=ImpatientProtocol,
-            loop="asyncio",
-            ws="none",
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            proxy_headers=False,
-            limit_concurrency=CONNECTIONS_MAX,
-            timeout_keep_alive=KEEP_ALIVE_S,
-            timeout_graceful_shutdown=CLOSING_MAX_S,
-            ssl_certfile=page.certificate or None,
-            ssl_keyfile=page.key_file or None,
-        )
-        config.load()
-    except OSError as error:
-        raise ConfigError(f"page.certificate: {error}") from error
-    return config
+    check_certificate(page)
+    return uvicorn.Config(
+        make_app(settings),
+        http=ImpatientProtocol,
+        loop="asyncio",
+        ws="none",
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        limit_concurrency=CONNECTIONS_MAX,
+        timeout_keep_alive=KEEP_ALIVE_S,
+        timeout_graceful_shutdown=CLOSING_MAX_S,
+        ssl_certfile=page.certificate or None,
+        ssl_keyfile=page.key_file or None,
+    )
 
 
 def _listen(settings: Settings, opened: bool) -> Iterator[socket.socket]:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from axe_core_python.selenium import Axe
-from page_process import PageProcess, page_of
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
@@ -16,6 +15,7 @@ from selenium.webdriver.remote.webdriver import WebDriver
 from bench.support.broker import wait_for
 from bench.support.browser import DESK, PHONE, browser
 from bench.support.daemon_process import DaemonProcess
+from bench.support.page_process import PageProcess, page_of
 from bench.support.virtual_board import VirtualBoard
 from edge.core.hard_limits import LEASE_S
 from edge.page.access import DAY_S, Role

@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 
 import pytest
 from history_records import HandClock, History, eventful_tick
-from page_process import Client, PageProcess, page_of
 
+from bench.support.page_process import Client, PageProcess, page_of
 from edge.page.access import DAY_S, Role
 from edge.storage import Session, Storage
 

@@ -6,10 +6,10 @@ import time
 from pathlib import Path
 
 import pytest
-from page_process import Client, page_of
 
 from bench.support.broker import wait_for
 from bench.support.daemon_process import DaemonProcess
+from bench.support.page_process import Client, page_of
 from bench.support.virtual_board import VirtualBoard
 from edge.core.hard_limits import LEASE_S
 from edge.page.access import Role

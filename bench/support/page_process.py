@@ -1,0 +1,133 @@
+"""The page as a process for tests, and a client that asks as a browser does."""
+
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.cookiejar import Cookie
+from pathlib import Path
+from typing import Any
+
+import requests
+import yaml
+
+from bench.support.broker import free_port, wait_for
+from bench.support.daemon_process import ROOT, configuration
+from edge.board.virtual_rig import die_with_parent
+from edge.page.access import DAY_S, Access, Role
+from edge.page.page_state import COOKIE
+
+END_S = 15.0
+
+
+class Client:
+    """One browser's session. Changes carry the headers that a browser sends from the page itself.
+
+    authority : file of the certificate to trust, "" for the usual ones
+    """
+
+    def __init__(self, base: str, authority: str = "") -> None:
+        self.base = base
+        self.session = requests.Session()
+        self.session.trust_env = False
+        self.session.verify = authority or True
+
+    def get(self, path: str, **headers: str) -> requests.Response:
+        """Ask for a page or a value."""
+        return self.session.get(self.base + path, headers=headers, timeout=20)
+
+    def send(self, method: str, path: str, values: Any = None, **headers: str) -> requests.Response:
+        """Send JSON; `_` in the name of a header stands for `-`."""
+        own = {"origin": self.base, "sec-fetch-site": "same-origin", "content-type": "application/json"}
+        own |= {name.replace("_", "-"): value for name, value in headers.items()}
+        return self.session.request(
+            method, self.base + path, json={} if values is None else values, headers=own, timeout=20
+        )
+
+    def post(self, path: str, values: Any = None, **headers: str) -> requests.Response:
+        """Send a change."""
+        return self.send("POST", path, values, **headers)
+
+    def view(self) -> dict[str, Any]:
+        """Return what the page knows now."""
+        return dict(self.get("/api/view").json())
+
+
+class PageProcess:
+    """A running page of the rig whose files are in `folder`.
+
+    page : settings of its own section
+    """
+
+    def __init__(self, folder: Path, port: int, **page: Any) -> None:
+        self.config, self._log = folder / "page.yaml", folder / "page.log"
+        self._authority = str(page.get("certificate", ""))
+        self.port = port
+        self.base = f"{'https' if self._authority else 'http'}://127.0.0.1:{port}"
+        self.access = Access(folder / "page" / "page.db")
+        own = {"port": port, "folder": str(folder / "page"), **page}
+        self.config.write_text(yaml.safe_dump(configuration(folder, None) | {"page": own}))
+        self.process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def command(self) -> list[str]:
+        """Return its command line."""
+        return [sys.executable, "-m", "edge", "page", "--config", str(self.config)]
+
+    @property
+    def log(self) -> str:
+        """The page's output so far."""
+        return self._log.read_text(errors="replace")
+
+    def start(self) -> None:
+        """Start, and wait until it answers."""
+        with self._log.open("ab") as log:
+            process = subprocess.Popen(
+                self.command, stdout=log, stderr=log, cwd=ROOT, preexec_fn=die_with_parent
+            )
+        self.process = process
+        wait_for(lambda: self._answers() or process.poll() is not None, "the page")
+        assert process.poll() is None, self.log
+
+    def kill(self) -> None:
+        """kill -9, if it runs."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait(END_S)
+
+    def client(self, role: Role | None = Role.ADMIN, name: str = "Ann") -> Client:
+        """Return a browser that has entered by a link, or one without a session."""
+        client = Client(self.base, self._authority)
+        if role is not None:
+            link = self.access.make_link(role, name, DAY_S)
+            assert client.post("/api/session", {"link": link}).ok
+        return client
+
+    def _answers(self) -> bool:
+        try:
+            return requests.get(self.base, timeout=2, verify=self._authority or True).ok
+        except requests.RequestException:
+            return False
+
+
+@contextmanager
+def page_of(folder: Path, **page: Any) -> Iterator[PageProcess]:
+    """Start a page; kill it at the end."""
+    running = PageProcess(folder, free_port(), **page)
+    try:
+        running.start()
+        yield running
+    finally:
+        running.kill()
+
+
+def cookie_of(client: Client) -> Cookie:
+    """Return the cookie of a client's session."""
+    return next(cookie for cookie in client.session.cookies if cookie.name == COOKIE)
+
+
+def listens(port: int) -> bool:
+    """Return whether somebody listens at a port of the loopback."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
