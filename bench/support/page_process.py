@@ -87,7 +87,7 @@ class PageProcess:
                 self.command, stdout=log, stderr=log, cwd=ROOT, preexec_fn=die_with_parent
             )
         self.process = process
-        wait_for(lambda: self._answers() or process.poll() is not None, "the page")
+        wait_for(lambda: self.answers() or process.poll() is not None, "the page")
         assert process.poll() is None, self.log
 
     def kill(self) -> None:
@@ -104,7 +104,8 @@ class PageProcess:
             assert client.post("/api/session", {"link": link}).ok
         return client
 
-    def _answers(self) -> bool:
+    def answers(self) -> bool:
+        """Return whether it serves the page."""
         try:
             return requests.get(self.base, timeout=2, verify=self._authority or True).ok
         except requests.RequestException:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from typing import Any
 
+import anyio
 import anyio.to_thread
 from starlette.requests import Request
 from starlette.responses import JSONResponse
@@ -22,9 +23,14 @@ class NotAllowed(Exception):
         self.status = status
 
 
-async def in_thread(call: Callable[..., Any], *arguments: Any) -> Any:
-    """Call something that waits for the disk."""
-    return await anyio.to_thread.run_sync(call, *arguments)
+async def in_thread(
+    call: Callable[..., Any], *arguments: Any, places: anyio.CapacityLimiter | None = None
+) -> Any:
+    """Call something that waits for the disk, or that computes for long.
+
+    places : how many such calls may run at once, None for those that all calls share
+    """
+    return await anyio.to_thread.run_sync(call, *arguments, limiter=places)
 
 
 def answer(code: HTTPStatus = HTTPStatus.OK, /, **values: Any) -> JSONResponse:

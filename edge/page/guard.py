@@ -7,6 +7,7 @@ makes a browser send (CSRF), a change has to be JSON from a page of the same ori
 
 import asyncio
 import ipaddress
+import re
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ BODY_MAX = 64 << 10  # bytes
 BODY_MAX_S = 10.0  # for all of a body
 METHODS = ("GET", "HEAD", "POST", "DELETE")
 SAFE = ("GET", "HEAD")
+_HOST = re.compile(r"(\[[^\[\]]+\]|[^\[\]:]+)(?::[0-9]{1,5})?")
 HEADERS = {
     "content-security-policy": (
         "default-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
@@ -100,9 +102,9 @@ def own_names(more: Iterable[str]) -> frozenset[str]:
 
 
 def _without_port(host: str) -> str:
-    if host.startswith("["):
-        return host[1:].partition("]")[0]
-    return host.partition(":")[0]
+    """Return the name or address, "" where it is not written as one."""
+    found = _HOST.fullmatch(host)
+    return found[1].strip("[]") if found else ""
 
 
 def _origins(scheme: str, host: str, headers: Headers) -> tuple[str, ...]:

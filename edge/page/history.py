@@ -10,7 +10,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from edge.core.errors import DataError
+from edge.core.errors import DataError, RequestError
 
 Json = dict[str, Any]
 
@@ -44,12 +44,12 @@ GROUP BY CAST((start_utc - :first) / :width AS INTEGER) ORDER BY 1
 def course(path: Path, first_utc: float, last_utc: float, points: int) -> Json:
     """Return the columns COLUMNS between two times, at most `points` rows; null where nothing is known.
 
-    Errors : DataError
+    Errors : DataError; RequestError for times that are no span
     """
     points = min(max(points, 2), POINTS_MAX)
     span_s = last_utc - first_utc
     if not 0.0 < span_s < 1e9:
-        raise DataError("from_utc has to be before to_utc")
+        raise RequestError("from_utc has to be before to_utc")
     given = {"first": first_utc, "last": last_utc, "width": max(span_s / points, 1e-3)}
     with reading(path) as db:
         rows = db.execute(_WINDOWS, given).fetchall()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from http import HTTPStatus
 from pathlib import Path
 
+import anyio
 from starlette.requests import Request
 
 from edge.config.settings import Settings
@@ -31,6 +32,9 @@ class Page:
     tries: OrderedDict[str, Allowance] = field(default_factory=OrderedDict)
     all_tries: Allowance = field(
         default_factory=lambda: Allowance(TRIES_OF_ALL, 1.0 / TRIES_OF_ALL_S, time.monotonic)
+    )
+    passwords: anyio.CapacityLimiter = field(  # each takes 16 MB: thirty at once would end the page
+        default_factory=lambda: anyio.CapacityLimiter(1)
     )
     streams: dict[int, list[asyncio.Event]] = field(default_factory=dict)  # of each session, the oldest first
 

@@ -2,46 +2,43 @@
 
 import asyncio
 import contextlib
+import ctypes
 import socket
 from collections.abc import Iterator
 
 import uvicorn
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from edge.config.settings import Settings
 from edge.core.errors import ConfigError
 from edge.page.access import Access
 from edge.page.app import make_app
 from edge.page.certificate import check_certificate
+from edge.page.protocol import BACKLOG, CONNECTIONS_MAX, HEAD_MAX, ImpatientProtocol, limit_connections
 
 LOCAL = "127.0.0.1"
-CONNECTIONS_MAX = 300
-HEAD_MAX_S = 10.0  # for the first request's head on a new connection
 KEEP_ALIVE_S = 15
 CLOSING_MAX_S = 2
+UNREAD_MAX_MS = 20_000  # after which who reads nothing of an answer, or has left the network, is hung up on
+M_MMAP_THRESHOLD = -3  # malloc.h; a value that is set does not grow any more
+LARGE_BLOCK = 1 << 20  # bytes
 LOOK_S = 1.0  # between two looks whether the network is allowed
-
-
-class ImpatientProtocol(H11Protocol):
-    """HTTP/1.1 that hangs up on a connection whose first request does not come."""
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin a connection."""
-        super().connection_made(transport)
-        self.loop.call_later(HEAD_MAX_S, self._hang_up_if_silent)
-
-    def _hang_up_if_silent(self) -> None:
-        if self.cycle is None and not self.transport.is_closing():
-            self.transport.close()
 
 
 def serve(settings: Settings) -> None:
     """Serve until SIGTERM or SIGINT. Errors: ConfigError where the address is taken or the certificate bad"""
+    _give_memory_back()
+    limit_connections()
     access = Access.of(settings.page.folder)
     while True:
         opened = bool(settings.page.host) or access.is_open_to_network
         if asyncio.run(_serve(settings, access, opened)):
             return
+
+
+def _give_memory_back() -> None:
+    """Let the allocator return large blocks: else each thread keeps the 16 MB of a password's scrypt."""
+    with contextlib.suppress(AttributeError):  # another C library than glibc
+        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE_BLOCK)
 
 
 async def _serve(settings: Settings, access: Access, opened: bool) -> bool:
@@ -72,11 +69,13 @@ def _config(settings: Settings) -> uvicorn.Config:
         http=ImpatientProtocol,
         loop="asyncio",
         ws="none",
-        log_level="warning",
+        log_level="error",  # a warning for each broken request would let strangers wear the card
         access_log=False,
         server_header=False,
         proxy_headers=False,
         limit_concurrency=CONNECTIONS_MAX,
+        backlog=BACKLOG,
+        h11_max_incomplete_event_size=HEAD_MAX,
         timeout_keep_alive=KEEP_ALIVE_S,
         timeout_graceful_shutdown=CLOSING_MAX_S,
         ssl_certfile=page.certificate or None,
@@ -92,10 +91,13 @@ def _listen(settings: Settings, opened: bool) -> Iterator[socket.socket]:
         hosts = (LOCAL,)
     for host in hosts:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        place = (host, page.port)
         try:
-            if host == "::":
-                yield socket.create_server((host, page.port), family=family, dualstack_ipv6=True, backlog=100)
-            else:
-                yield socket.create_server((host, page.port), family=family, backlog=100)
+            listener = socket.create_server(
+                place, family=family, dualstack_ipv6=host == "::", backlog=BACKLOG
+            )
         except OSError as error:
             raise ConfigError(f"page.host, page.port: {host or '*'}:{page.port}: {error.strerror}") from error
+        # Each connection takes it over.
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNREAD_MAX_MS)
+        yield listener

@@ -27,7 +27,7 @@ async def enter(page: Page, request: Request, _: Visitor) -> Response:
         name, password = text(given, "name", 40), text(given, "password")
         if not page.may_try(request, name):
             raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, f"too many tries: wait {TRY_EVERY_S:g} s")
-        begun = await in_thread(page.access.log_in, name, password, browser)
+        begun = await in_thread(page.access.log_in, name, password, browser, places=page.passwords)
         wrong = "name or password is wrong"
     if begun is None:
         raise NotAllowed(HTTPStatus.UNAUTHORIZED, wrong)

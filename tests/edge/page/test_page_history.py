@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from history_records import HandClock, History, tick
 
-from edge.core.errors import DataError
+from edge.core.errors import DataError, RequestError
 from edge.page.history import COLUMNS, course, events, span
 from edge.storage import Session, Storage
 
@@ -41,7 +41,7 @@ def test_where_nothing_is_recorded_the_columns_are_empty(path: Path) -> None:
 
 @pytest.mark.parametrize(("first", "last"), [(5.0, 5.0), (6.0, 5.0), (0.0, 1e10)])
 def test_a_span_that_is_none_is_refused(path: Path, first: float, last: float) -> None:
-    with pytest.raises(DataError, match="from_utc"):
+    with pytest.raises(RequestError, match="from_utc"):
         course(path, first, last, 10)
 
 

@@ -1,9 +1,11 @@
 """The page over https, with a certificate of its own."""
 
 import socket
+import ssl
 import subprocess
 import tempfile
 from collections.abc import Iterator
+from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
@@ -14,11 +16,13 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from bench.default_daemon import memory_of
 from bench.support.broker import free_port, wait_for
 from bench.support.daemon_process import ROOT
 from bench.support.page_process import Client, PageProcess, cookie_of, listens, page_of
 from edge.board.virtual_rig import end_process
 from edge.page.access import Role
+from edge.page.protocol import CONNECTIONS_MAX, OTHER_FILES
 
 pytestmark = pytest.mark.slow
 
@@ -79,6 +83,27 @@ def test_plain_http_on_the_port_of_https_gives_no_page(page: PageProcess) -> Non
     assert b"HTTP/" not in answer
     assert b"html" not in answer
     assert page.client(None).get("/").ok
+
+
+def test_connections_that_only_wait_take_little_memory_and_are_limited(page: PageProcess) -> None:
+    """Each took 300 kB by asyncio's own choice: a few hundred ended the page."""
+    assert page.process is not None
+    trusting = ssl.create_default_context(cafile=str(page.config.parent / "page.crt"))
+    with ExitStack() as stack:
+        for _ in range(CONNECTIONS_MAX // 2):
+            connection = socket.create_connection(("127.0.0.1", page.port), timeout=20)
+            stack.enter_context(trusting.wrap_socket(connection, server_hostname="127.0.0.1"))
+        assert page.client(None).get("/").ok
+        assert memory_of(str(page.process.pid)).pss < 60.0
+        for _ in range(CONNECTIONS_MAX):
+            stack.enter_context(socket.create_connection(("127.0.0.1", page.port), timeout=20))
+        wait_for(lambda: open_files(page) <= CONNECTIONS_MAX + OTHER_FILES)
+    wait_for(page.answers, "the page has room again")
+
+
+def open_files(page: PageProcess) -> int:
+    assert page.process is not None
+    return len(list(Path(f"/proc/{page.process.pid}/fd").iterdir()))
 
 
 BAD = {
