@@ -16,7 +16,8 @@ import numpy as np
 from edge.app.replay import Series, decisions_digest, replay, score
 from edge.commands.replay import settings_for, skill_table
 from edge.core.messages import TickRecord
-from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, read_run
+from edge.formats.run_file import RecordedRun, read_run
+from edge.formats.run_lines import OPTION_WITHOUT
 from edge.models.arx import Arx
 from edge.models.fit_arx import fit_arx
 

@@ -56,6 +56,7 @@ PURE = (
     "core/names.py",
     "core/controller.py",
     "core/predictor.py",
+    "core/horizons.py",
     "safety",
     "tick/orders.py",
     "tick/reference.py",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from edge.config.settings import HistorySettings
 from edge.core.errors import DataError, RequestError
-from edge.formats.run_file import OPTION_WITHOUT
+from edge.formats.run_lines import OPTION_WITHOUT
 from edge.storage.runs import newest_utc
 
 _UNIT_S = {"d": 86400.0, "h": 3600.0, "min": 60.0}

@@ -16,7 +16,8 @@ from edge.commands.which_rig import history_of
 from edge.core.errors import RequestError
 from edge.core.messages import Event, Severity
 from edge.diagnosis.report.picture import time_axis
-from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, read_run
+from edge.formats.run_file import RecordedRun, read_run
+from edge.formats.run_lines import OPTION_WITHOUT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,7 +17,8 @@ from edge.commands.arguments import add_absent_columns, number, whole, writing
 from edge.core.errors import DataError, RequestError
 from edge.diagnosis.readings import plausible_run
 from edge.formats.number_table import print_table, read_table
-from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, inside_names, resample, write_run
+from edge.formats.run_file import RecordedRun, inside_names, resample, write_run
+from edge.formats.run_lines import OPTION_WITHOUT
 from edge.models.pbm import Pbm, read_twin
 from edge.twin.warm_start import hold
 

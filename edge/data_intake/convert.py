@@ -14,7 +14,8 @@ from edge.data_intake.cells import Cells, is_missing, number, read_cells
 from edge.data_intake.mapping import LogMap, Source
 from edge.data_intake.times import read_times
 from edge.data_intake.units import INPUTS, SHARES, UNITS, truth
-from edge.formats.run_file import ABSENT, RecordedRun, read_run, write_run
+from edge.formats.run_file import RecordedRun, read_run, write_run
+from edge.formats.run_lines import ABSENT
 
 Floats = NDArray[np.float64]
 FEWEST_ROWS = 2

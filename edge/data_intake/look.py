@@ -13,7 +13,7 @@ from edge.data_intake.cells import Cells, is_missing, number, read_cells
 from edge.data_intake.mapping import LogMap, Source
 from edge.data_intake.times import SINCE_1970, formats_of, read_times
 from edge.data_intake.units import BY_TARGET, TARGETS, UNITS, guess_unit, truth
-from edge.formats.run_file import OPTION_WITHOUT
+from edge.formats.run_lines import OPTION_WITHOUT
 from edge.twin.rollout import has_shares
 
 

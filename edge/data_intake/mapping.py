@@ -15,7 +15,7 @@ from edge.data_intake.units import BY_TARGET, TARGETS, UNITS
 from edge.formats.atomic_file import write_atomically
 from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.reader import read, read_yaml
-from edge.formats.run_file import ABSENT
+from edge.formats.run_lines import ABSENT
 
 TOP = """# What `greenhouse data look` understood. Where it says GUESS the log does not: read, correct, then
 #   greenhouse data convert FILE --map THIS --out RUNS/

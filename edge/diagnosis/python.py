@@ -32,7 +32,8 @@ from edge.diagnosis.report.story import Story
 from edge.diagnosis.report.summary import summary_text
 from edge.diagnosis.runs import NamedRun, diagnosis_runs
 from edge.formats import run_file
-from edge.formats.run_file import OPTION_WITHOUT, REQUIRED, absence_facts
+from edge.formats.run_file import absence_facts
+from edge.formats.run_lines import OPTION_WITHOUT, REQUIRED
 from edge.formats.table import Table
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 

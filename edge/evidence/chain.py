@@ -46,7 +46,7 @@ from edge.evidence.day_rows import collect_day
 from edge.evidence.marks import read_marks
 from edge.evidence.protocol import protocol_sha256
 from edge.formats.atomic_file import make_folder, write_atomically
-from edge.storage.runs import reading
+from edge.storage.run_rows import reading
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey

@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
+from edge.core.horizons import steps_of
 from edge.core.messages import Command, Decision, Forecast, ForecastSkill
-from edge.core.predictor import Columns, Floats, Predictor, steps_of
+from edge.core.predictor import Columns, Floats, Predictor
 from edge.forecasts.conformal import Intervals
 from edge.forecasts.scorer import Scorer, ahead_of, roll
 from edge.forecasts.skill import RIVAL, SkillState, half_widths, skills, update_skill, without_rivals

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.core.predictor import Columns, Floats, Predictor, steps_of
+from edge.core.horizons import steps_of
+from edge.core.predictor import Columns, Floats, Predictor
 
 STEP_TOLERANCE = 1e-6  # share of a step
 

@@ -15,6 +15,7 @@ from edge.core.errors import DataError
 from edge.core.plain_text import plain, quote
 from edge.formats.atomic_file import write_atomically
 from edge.formats.input_file import TABLE, read_text
+from edge.formats.run_lines import cell_text, check_facts, print_head, print_rows
 
 Floats = NDArray[np.float64]
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # no nan, no inf, no 1_000
@@ -41,7 +42,9 @@ class NumberTable:
         """Raise DataError at the first row where `bad` is true, if any."""
         if bad.any():
             row = int(bad.argmax())
-            raise DataError(f"{self.place(row, column)}: {_cell(self.columns[column][row]) or 'empty'} {why}")
+            raise DataError(
+                f"{self.place(row, column)}: {cell_text(self.columns[column][row]) or 'empty'} {why}"
+            )
 
 
 def read_table(path: Path) -> NumberTable:
@@ -63,10 +66,7 @@ def read_table(path: Path) -> NumberTable:
 
 def write_table(path: Path, columns: Mapping[str, Floats], facts: Mapping[str, str]) -> None:
     """Write a table that `read_table` reads back to the same numbers. Errors: DataError, OSError."""
-    for key, value in facts.items():
-        text = f"{key}: {value}"
-        if text != text.strip() or not key or ":" in key or len(text.splitlines()) != 1:
-            raise DataError(f"{path}: {text!r} is no line `# key: value`")
+    check_facts(path, facts)
     file = io.StringIO()
     print_table(file, columns, facts)
     write_atomically(path, file.getvalue())
@@ -74,10 +74,8 @@ def write_table(path: Path, columns: Mapping[str, Floats], facts: Mapping[str, s
 
 def print_table(file: TextIO, columns: Mapping[str, Floats], facts: Mapping[str, str]) -> None:
     """Print the lines of `write_table`, for facts that are known to be right. Errors: OSError"""
-    file.writelines(f"# {key}: {value}\n" for key, value in facts.items())
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([_cell(value) for value in row] for row in zip(*columns.values(), strict=True))
+    print_head(file, columns, facts)
+    print_rows(file, columns.values())
 
 
 def _parse(path: Path, file: TextIO) -> NumberTable:
@@ -137,10 +135,3 @@ def _number(place: str, name: str, cell: str) -> float:
     if not (_NUMBER.fullmatch(cell) and abs(float(cell)) <= LARGEST):
         raise DataError(f"{place}: {name}: {quote(cell)} is no number of at most {LARGEST:g}")
     return float(cell)
-
-
-def _cell(value: float) -> str:
-    """Shortest text that reads back to the same number; empty for a missing one."""
-    if np.isnan(value):
-        return ""
-    return str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(float(value))

@@ -14,11 +14,9 @@ from edge.core.errors import DataError
 from edge.core.names import SIGNALS
 from edge.core.plain_text import quote
 from edge.formats.number_table import NumberTable, read_table, write_table
+from edge.formats.run_lines import ABSENT, OPTION_WITHOUT, REQUIRED, absences
 
 Floats = NDArray[np.float64]
-REQUIRED = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
-OPTION_WITHOUT = {"fan_on": "--no-fan", "temp_ambient_c": "--no-ambient"}  # REQUIRED that a run may lack
-ABSENT = "none"  # the fact `# fan_on: none` says that the recording has no such column
 SHARES = ("heater_duty", "fan_on", *(signal.key for signal in SIGNALS.values() if signal.unit == "1"))  # 0..1
 INPUTS = ("heater_duty", "fan_on", "led", "light", "reference_c")  # hold from their row to the next
 KNOWN = tuple(
@@ -89,8 +87,7 @@ def run_of(table: NumberTable, without: Collection[str] = ()) -> RecordedRun:
 
 def absence_facts(run: RecordedRun) -> RecordedRun:
     """Return the run with a fact `NAME: none` for every column of OPTION_WITHOUT that it lacks."""
-    absent = {name: ABSENT for name in OPTION_WITHOUT if name not in run.columns}
-    return replace(run, facts={**run.facts, **absent})
+    return replace(run, facts={**run.facts, **absences(run.columns)})
 
 
 def write_run(run: RecordedRun, path: str | Path) -> None:

@@ -4,8 +4,7 @@ import json
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from datetime import UTC, datetime
-from itertools import groupby, pairwise
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -14,106 +13,34 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.core.messages import Event, ReadingQuality, Severity
-from edge.core.plain_text import plain
 from edge.formats.run_file import RecordedRun
+from edge.formats.run_lines import in_order
 from edge.storage.file import connect
-from edge.storage.schema_version import SCHEMA_VERSION, USABLE_VERSION
+from edge.storage.run_rows import (
+    BUSY_S,
+    NAN,
+    TICK_INPUTS,
+    RunGrid,
+    Tick,
+    columns_of,
+    facts_of,
+    known_names,
+    reading,
+    ticks_between,
+)
 
-TICK_INPUTS = ("heater_duty", "fan_on", "led")  # columns of a run that the history keeps in `ticks`
-NAN = float("nan")
 Floats = NDArray[np.float64]
-Tick = tuple[Any, ...]  # a row of `ticks_between`
-
-
-def ticks_between(
-    connection: sqlite3.Connection,
-    first_seq: int | None,
-    last_seq: int | None,
-    since_utc: float | None,
-    until_utc: float | None,
-) -> list[Tick]:
-    """Ticks within all the bounds given, in their order; without a first number those of this rig alone."""
-    first_seq = 1 if first_seq is None else first_seq
-    bounds = {"seq >=": first_seq, "seq <=": last_seq, "utc >=": since_utc, "utc <=": until_utc}
-    given = {bound: value for bound, value in bounds.items() if value is not None}
-    # With a unary plus the planner finds the few rows by their times instead of walking all numbers.
-    plus = "" if since_utc is None and until_utc is None else "+"
-    return connection.execute(
-        "SELECT seq, session, utc, step_s, ticks_skipped, reference_c, echo_trip_cause IS NULL,"
-        " echo_heater_duty, echo_fan_on, echo_led FROM ticks"
-        f" WHERE {' AND '.join(f'{bound} ?' for bound in given).replace('seq', plus + 'seq')}"
-        f" ORDER BY {plus}seq",
-        tuple(given.values()),
-    ).fetchall()
 
 
 def run_of_ticks(
     connection: sqlite3.Connection, path: str | Path, ticks: list[Tick], facts: Mapping[str, str]
 ) -> RecordedRun:
     """Ticks that follow each other as a run; `facts` go before what the history knows. Errors: DataError"""
-    seqs = [tick[0] for tick in ticks]
-    columns = {"time_s": _times(path, ticks), **_readings(connection, seqs), **_inputs(ticks)}
-    if seqs[0] > 0:
-        facts = _facts_of(connection, ticks) | dict(facts)
-    first = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
-    known = {
-        key: values for key, values in columns.items() if key == "temp_air_c" or not np.isnan(values).all()
-    }
-    ordered = sorted(known, key=lambda key: (first.index(key) if key in first else len(first), key))
-    return RecordedRun({key: known[key] for key in ordered}, facts, Path(path))
-
-
-def _times(path: str | Path, ticks: list[Tick]) -> Floats:
-    """Seconds since the first tick."""
-    times = [0.0]
-    for before, tick in pairwise(ticks):
-        (seq_before, session_before, utc_before), (seq, session, utc, step_s, skipped) = before[:3], tick[:5]
-        same_grid = session is not None and session == session_before
-        step = step_s * (seq - seq_before + skipped) if same_grid else utc - utc_before
-        if not step > 0.0:
-            raise DataError(f"{path}: tick {seq}: the wall clock went back; export what is on one side of it")
-        times.append(times[-1] + step)
-    return np.round(times, 3)
-
-
-def _readings(connection: sqlite3.Connection, seqs: list[int]) -> dict[str, Floats]:
-    row_of = {seq: row for row, seq in enumerate(seqs)}
-    columns: dict[str, Floats] = {"temp_air_c": np.full(len(seqs), NAN)}
-    stored = connection.execute(
-        "SELECT seq, signal, value FROM readings WHERE seq BETWEEN ? AND ? AND quality = 'good'",
-        (seqs[0], seqs[-1]),
-    )
-    for seq, signal, value in stored:
-        if seq in row_of:
-            columns.setdefault(signal, np.full(len(seqs), NAN))[row_of[seq]] = value
-    return columns
-
-
-def _inputs(ticks: list[Tick]) -> dict[str, Floats]:
-    """Return the driven inputs, 0 where the board did not confirm, NaN where
-    an imported run is silent; the target.
-    """
-    table = np.array([[*tick[7:10], tick[5]] for tick in ticks], dtype=np.float64)
-    unconfirmed = np.array([tick[6] for tick in ticks], dtype=bool)
-    table[unconfirmed, :3] = 0.0
-    return dict(zip((*TICK_INPUTS, "reference_c"), table.T, strict=True))
-
-
-def _facts_of(connection: sqlite3.Connection, ticks: list[Tick]) -> dict[str, str]:
-    first_seq, last_seq = ticks[0][0], ticks[-1][0]
-    controllers = connection.execute(
-        "SELECT DISTINCT controller FROM ticks WHERE seq BETWEEN ? AND ? ORDER BY 1", (first_seq, last_seq)
-    )
-    return {
-        "start_utc": datetime.fromtimestamp(ticks[0][2], UTC).isoformat(timespec="milliseconds"),
-        "history_id": connection.execute("SELECT id FROM history").fetchone()[0],
-        "first_seq": str(first_seq),
-        "last_seq": str(last_seq),
-        "controllers": ", ".join(name for (name,) in controllers),
-    }
-
-
-BUSY_S = 10.0
+    columns = columns_of(connection, ticks, RunGrid(path))
+    if ticks[0][0] > 0:
+        facts = facts_of(connection, ticks[0], ticks[-1]) | dict(facts)
+    names = in_order(known_names(columns))
+    return RecordedRun({name: np.array(columns[name]) for name in names}, facts, Path(path))
 
 
 def export_run(
@@ -211,34 +138,6 @@ def import_run(path: str | Path, run: RecordedRun, name: str) -> tuple[int, int]
 
 
 @contextmanager
-def reading(path: str | Path) -> Iterator[sqlite3.Connection]:
-    """Open a read-only connection. Errors: DataError"""
-    # Not opened to look: closing it would drop the locks of other connections of this process.
-    if Path(path).exists() and not Path(path).is_file():
-        raise DataError(f"{path}: not a regular file")
-    try:
-        uri = f"{Path(path).absolute().as_uri()}?mode=ro"
-        with closing(sqlite3.connect(uri, uri=True, timeout=BUSY_S)) as connection:
-            connection.text_factory = _text
-            version = connection.execute("PRAGMA user_version").fetchone()[0]
-            if not USABLE_VERSION <= version <= SCHEMA_VERSION:
-                raise DataError(
-                    f"{path}: its version is {version}, not {SCHEMA_VERSION}: let the daemon open it once"
-                )
-            _check_tables(connection, path)
-            yield connection
-    except sqlite3.Error as error:
-        raise DataError(f"{path}: {error}") from error
-
-
-def _check_tables(connection: sqlite3.Connection, path: str | Path) -> None:
-    """Refuse a view in a table's place: its query may have no end. Errors: DataError"""
-    for (name,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'view'"):
-        if not name.startswith("v_"):
-            raise DataError(f"{path}: {plain(name)} is a view, and no view of a history is called so")
-
-
-@contextmanager
 def _writing(path: str | Path, new: bool = False) -> Iterator[sqlite3.Connection]:
     """Open a connection in a transaction of its own. Errors: DataError"""
     if not new and not Path(path).exists():
@@ -277,11 +176,6 @@ def _find_run(connection: sqlite3.Connection, path: str | Path, name: str) -> tu
         known = [other for (other,) in connection.execute("SELECT name FROM runs ORDER BY name LIMIT 20")]
         raise DataError(f"{path}: there is no run {name!r}; known are {known}")
     return row[0], row[1], json.loads(row[2])
-
-
-def _text(stored: bytes) -> str:
-    """Return a stored text; a damaged letter does not end the command that reads it."""
-    return stored.decode(errors="replace")
 
 
 def _quality(value: float | None) -> ReadingQuality:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 from sqlite_utils import Database
 
+from edge.core.horizons import HORIZONS_MIN
 from edge.core.names import SIGNALS
-from edge.core.predictor import HORIZONS_MIN
 from edge.storage.schema_version import APPLICATION_ID
 
 INDEXES = {  # name -> table and column

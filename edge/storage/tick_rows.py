@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from edge.core.horizons import HORIZONS_MIN
 from edge.core.messages import (
     Change,
     Command,
@@ -25,7 +26,6 @@ from edge.core.messages import (
     TickRecord,
 )
 from edge.core.names import SIGNALS
-from edge.core.predictor import HORIZONS_MIN
 from edge.formats.tick_json import TEMP_DIGITS, WIDTH_DIGITS, json_value, number
 
 HOUR_S = 3600

@@ -15,7 +15,8 @@ import torch
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats, Predictor
-from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, inside_names, read_run, resample
+from edge.formats.run_file import RecordedRun, inside_names, read_run, resample
+from edge.formats.run_lines import OPTION_WITHOUT
 from edge.formats.table import Table
 from edge.models.arx import Arx
 from edge.models.fit_arx import fit_arx

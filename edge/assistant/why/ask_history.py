@@ -9,7 +9,7 @@ from typing import Any
 from edge.core.errors import DataError
 from edge.core.messages import Command, Decision, ReadingQuality, TickRecord
 from edge.core.plain_text import plain
-from edge.storage.runs import reading
+from edge.storage.run_rows import reading
 from edge.storage.tick_rows import read_ticks
 
 

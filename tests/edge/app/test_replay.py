@@ -11,7 +11,8 @@ from edge.commands.replay import settings_for, skill_table
 from edge.core.errors import DataError
 from edge.core.messages import ReadingQuality, TickRecord
 from edge.core.predictor import Columns, Floats
-from edge.formats.run_file import OPTION_WITHOUT, RecordedRun, read_run
+from edge.formats.run_file import RecordedRun, read_run
+from edge.formats.run_lines import OPTION_WITHOUT
 from edge.formats.tick_json import tick_json
 from edge.models.arx import Arx
 from edge.models.pbm import Pbm

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from forecast_rig import STEP_S, BrokenForecast, RampPredictor, columns
 
+from edge.core.horizons import STEPS_MAX, steps_of
 from edge.core.messages import Command
-from edge.core.predictor import STEPS_MAX, steps_of
 from edge.forecasts.forecasting import forecasts, planned_inputs
 from edge.forecasts.scorer import ahead_of, roll
 from edge.models.arx_file import read_arx
