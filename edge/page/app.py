@@ -16,7 +16,7 @@ from starlette.staticfiles import StaticFiles
 
 from edge.config.settings import Settings
 from edge.core.errors import GreenhouseError, RequestError
-from edge.page import rig_routes, session_routes
+from edge.page import export, rig_routes, session_routes
 from edge.page.access import Access, Role, Visitor
 from edge.page.answers import NotAllowed, answer
 from edge.page.guard import Guard, own_names
@@ -39,6 +39,7 @@ API: tuple[tuple[str, str, Role | None, Handler], ...] = (
     ("GET", "/api/span", Role.VIEW, rig_routes.span),
     ("GET", "/api/why", Role.VIEW, rig_routes.why),
     ("GET", "/api/events", Role.VIEW, rig_routes.events),
+    ("GET", "/api/export", Role.VIEW, export.export),
     ("POST", "/api/events/acknowledge", Role.OPERATE, rig_routes.acknowledge),
     ("POST", "/api/stop", Role.VIEW, rig_routes.stop),
     ("POST", "/api/order", Role.VIEW, rig_routes.order),

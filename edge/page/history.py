@@ -5,12 +5,12 @@ year has half a million ticks, and the answer has to come within a blink.
 """
 
 import sqlite3
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 from edge.core.errors import DataError, RequestError
+from edge.storage import run_rows
 
 Json = dict[str, Any]
 
@@ -87,22 +87,14 @@ def events(path: Path, before_utc: float | None, severities: tuple[str, ...], mo
     return [dict(zip(("seq", "number", "utc", "key", "severity", "text"), row, strict=True)) for row in rows]
 
 
-@contextmanager
-def reading(path: Path) -> Iterator[sqlite3.Connection]:
+def reading(path: Path) -> AbstractContextManager[sqlite3.Connection]:
     """Open the history for reading alone. Errors: DataError
 
-    Not by `edge.storage.runs`, which brings numpy: 15 MB of the page's 35.
     After a clean end there is no log, and who may not write to the folder cannot make one: then nobody
     writes, and the file is read as it is.
     """
-    how = "mode=ro" if path.with_name(f"{path.name}-wal").exists() else "mode=ro&immutable=1"
-    try:
-        place = f"{path.absolute().as_uri()}?{how}"
-        with closing(sqlite3.connect(place, uri=True, timeout=BUSY_S)) as db:
-            db.execute("PRAGMA query_only = ON")
-            yield db
-    except sqlite3.Error as error:
-        raise DataError(f"{path}: {error}") from error
+    has_log = path.with_name(f"{path.name}-wal").exists()
+    return run_rows.reading(path, BUSY_S, "mode=ro" if has_log else "mode=ro&immutable=1")
 
 
 def _round(value: float | None) -> float | None:

@@ -37,6 +37,7 @@ class Page:
         default_factory=lambda: anyio.CapacityLimiter(1)
     )
     streams: dict[int, list[asyncio.Event]] = field(default_factory=dict)  # of each session, the oldest first
+    exports: bool = False  # the history is on its way to somebody
 
     @property
     def history(self) -> Path:

@@ -4,6 +4,7 @@ import re
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from edge.assistant.llm.sql_tool import SqlTool
 from edge.assistant.why.ask_history import why
 from edge.storage import Outbox, Session
 from edge.storage.archive import Archive
+from edge.storage.run_rows import reading, run_text
 from edge.storage.runs import events_between, export_run, export_stretches, name_run
 from edge.storage.schema_version import VIEWS
 
@@ -109,6 +111,7 @@ PRODUCT: dict[str, Callable[[Path], object]] = {
     "export to a time": lambda path: export_run(path, until_utc=NOON),
     "export by number": lambda path: export_run(path, first_seq=3, last_seq=9),
     "export by name": lambda path: export_run(path, name="steps"),
+    "export of the page": lambda path: list(run_text(path, NOON, NOON + 600.0, partial(reading, path))),
     "nightly diagnosis": lambda path: export_stretches(path, since_utc=NOON),
     **dict(sql_queries()),
 }
