@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from edge.core.errors import DataError, RequestError
+from edge.core.errors import RequestError
 from edge.storage import run_rows
 
 Json = dict[str, Any]

@@ -3,6 +3,7 @@
 import { html, render, useEffect, useErrorBoundary, useMemo, useState } from "./vendor/preact-htm.js";
 import { call, follow } from "./api.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
+import { Profile } from "./profile.js";
 import { Access, Ask, Controls, Events, Health, Models, Now, Stop, Why, troubles } from "./parts.js";
 
 const SPANS = [[3600, "1 h"], [6 * 3600, "6 h"], [86400, "1 day"], [7 * 86400, "7 days"]];
@@ -76,6 +77,7 @@ function Rig({ me }) {
       <${Part}><${Course} view=${view} pick=${setPicked} /><//>
       <${Part}><${Why} view=${view} picked=${picked} clear=${() => setPicked(null)} /><//>
       <${Part}><${Controls} view=${view} me=${me} done=${done} /><//>
+      <${Part}><${Profile} view=${view} me=${me} done=${done} /><//>
       <${Part}><${Ask} me=${me} done=${done} /><//>
       <${Part}><${Events} me=${me} news=${seq} /><//>
       <${Part}><${Models} view=${view} /><//>

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from axe_core_python.selenium import Axe
+from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
@@ -51,6 +52,12 @@ def complaints(driver: WebDriver) -> list[str]:
     return [line["message"] for line in driver.get_log("browser") if " 4" not in line["message"]]
 
 
+def serious_findings(driver: WebDriver) -> list[str]:
+    """Return what a screen reader would stumble over."""
+    found = Axe().run(driver)["violations"]
+    return [each["id"] for each in found if each["impact"] in ("serious", "critical")]
+
+
 @pytest.fixture
 def rig(folder: Path, board: VirtualBoard) -> Iterator[tuple[DaemonProcess, PageProcess]]:
     with DaemonProcess(folder) as daemon, page_of(folder) as page:
@@ -75,9 +82,58 @@ def test_a_person_sees_operates_and_nothing_is_in_the_way_of_a_screen_reader(rig
         wait_for(lambda: daemon.ask("status")["operation"]["mode"] == "fan_only")
         wait_for(lambda: not heats(board))
         wait_for(lambda: "the mode was set to fan_only, by Ann (page)" in text(driver))
-        found = Axe().run(driver)["violations"]
-        serious = [each["id"] for each in found if each["impact"] in ("serious", "critical")]
-        assert serious == []
+        assert serious_findings(driver) == []
+        assert complaints(driver) == []
+
+
+def profile_card(driver: WebDriver) -> str:
+    return driver.find_element(By.CSS_SELECTOR, "section[aria-label=Profile]").text
+
+
+def test_a_profile_is_loaded_drawn_followed_paused_skipped_and_ended(rig, tmp_path: Path) -> None:
+    daemon, page = rig
+    file = tmp_path / "bread.csv"
+    file.write_text("time_s,reference_c\n0,25\n7200,warm\n")
+
+    def standing() -> dict:
+        return daemon.ask("status")["operation"].get("profile", {})
+
+    with browser(PHONE) as driver:
+        enter(driver, page, Role.OPERATE)
+        driver.execute_script("document.querySelector('section[aria-label=Profile] details').open = true")
+        load = driver.find_element(By.CSS_SELECTOR, "input[type=file]")
+        load.send_keys(str(file))
+        wait_for(lambda: 'line 3: "7200,warm" has no two numbers there' in profile_card(driver))
+        file.write_text("# a comment\ntime_s,reference_c\n0,25\n7200,31\n")
+        load.send_keys(str(file))
+        points = "svg.profile .point"
+        wait_for(lambda: len(driver.find_elements(By.CSS_SELECTOR, points)) == 2)
+        drawing = driver.find_element(By.CSS_SELECTOR, "svg.profile")
+        driver.execute_script("arguments[0].scrollIntoView({ block: 'center' })", drawing)
+        ActionChains(driver).move_to_element(drawing).click().perform()  # a third point, half way
+        wait_for(lambda: len(driver.find_elements(By.CSS_SELECTOR, points)) == 3)
+        last = driver.find_elements(By.CSS_SELECTOR, points)[2]
+        ActionChains(driver).drag_and_drop_by_offset(last, 0, 24).perform()  # 4 K lower
+        tap(driver, "Start this profile")
+        wait_for(standing)
+        found = standing()
+        assert (found["name"], found["times_s"][0], found["times_s"][-1]) == ("bread", 0, 7200)
+        assert found["targets_c"][0] == 25.0
+        drawn_c = found["targets_c"][1]
+        assert 23.0 <= drawn_c <= 27.0  # the middle of the drawing
+        assert 26.0 <= found["targets_c"][2] <= 28.0
+        wait_for(lambda: f"Next point: {drawn_c:.1f} °C" in profile_card(driver))
+        tap(driver, "Pause")
+        wait_for(lambda: standing()["paused"] and "It is paused." in profile_card(driver))
+        tap(driver, "Go on")
+        wait_for(lambda: not standing()["paused"])
+        tap(driver, "Skip to the next point")
+        wait_for(lambda: standing()["position_s"] >= found["times_s"][1])
+        wait_for(lambda: "the profile was moved to its next point, by Ann (page)" in text(driver))
+        assert serious_findings(driver) == []
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= PHONE[0]
+        tap(driver, "End it")
+        wait_for(lambda: not standing())
         assert complaints(driver) == []
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 from history_records import START_UTC, eventful_tick, store, tick
-from page_process import PageProcess, page_of
 
 from bench.support.broker import wait_for
+from bench.support.page_process import PageProcess, page_of
 from edge.__main__ import main
 from edge.commands.arguments import moment
 from edge.core.errors import DataError
