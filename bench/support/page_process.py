@@ -3,7 +3,7 @@
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from http.cookiejar import Cookie
 from pathlib import Path
@@ -57,17 +57,20 @@ class Client:
 class PageProcess:
     """A running page of the rig whose files are in `folder`.
 
-    page : settings of its own section
+    sections : further sections of its configuration; page : settings of its own one
     """
 
-    def __init__(self, folder: Path, port: int, **page: Any) -> None:
+    def __init__(
+        self, folder: Path, port: int, sections: Mapping[str, Any] | None = None, **page: Any
+    ) -> None:
         self.config, self._log = folder / "page.yaml", folder / "page.log"
         self._authority = str(page.get("certificate", ""))
         self.port = port
         self.base = f"{'https' if self._authority else 'http'}://127.0.0.1:{port}"
         self.access = Access(folder / "page" / "page.db")
         own = {"port": port, "folder": str(folder / "page"), **page}
-        self.config.write_text(yaml.safe_dump(configuration(folder, None) | {"page": own}))
+        settings = configuration(folder, None) | {"page": own} | dict(sections or {})
+        self.config.write_text(yaml.safe_dump(settings))
         self.process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -113,9 +116,11 @@ class PageProcess:
 
 
 @contextmanager
-def page_of(folder: Path, **page: Any) -> Iterator[PageProcess]:
-    """Start a page; kill it at the end."""
-    running = PageProcess(folder, free_port(), **page)
+def page_of(
+    folder: Path, sections: Mapping[str, Any] | None = None, **page: Any
+) -> Iterator[PageProcess]:
+    """Start a page, with `sections` as in PageProcess; kill it at the end."""
+    running = PageProcess(folder, free_port(), sections, **page)
     try:
         running.start()
         yield running

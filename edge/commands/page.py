@@ -2,10 +2,9 @@
 
 import argparse
 import getpass
-import ipaddress
 import os
-import socket
 import sys
+import time
 from datetime import datetime
 from pathlib import Path
 
@@ -14,6 +13,8 @@ from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import Settings
 from edge.core.errors import ConfigError, RequestError
 from edge.page.access import DAY_S, LINK_DAYS_MAX, ROLES, Access, Role
+from edge.page.address import address
+from edge.page.alarms import trial
 from edge.page.child import is_installed
 
 MISSING = "the page needs more packages: pip install 'greenhouse-twin[page]'"
@@ -23,7 +24,9 @@ ACTIONS = {
     "person": "set the password of somebody who logs in by name",
     "sessions": "list the browsers that have a session",
     "revoke": "end a session, or all sessions and links",
+    "test-alarm": "have the running page send a test message by each channel, and say how it went",
 }
+TRIAL_LOOK_S = 0.2  # between two looks whether the page has answered
 PAIR_H = 1.0  # a link for once is used at once
 
 
@@ -33,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config", type=Path, help=f"configuration file; default: {RIG_CONFIG}, else every setting's default"
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", help="default: serve the page")
-    pair, link, person, _, revoke = (
+    pair, link, person, _, revoke, _ = (
         actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
         for name, text in ACTIONS.items()
     )
@@ -68,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
             _print_sessions(access)
         case "revoke":
             print(f"{access.revoke(arguments.session)} sessions ended")
+        case "test-alarm":
+            return _test_alarm(settings, access)
     return 0
 
 
@@ -77,25 +82,6 @@ def _serve(file: Path | None) -> None:
         raise ConfigError(MISSING)
     usual = RIG_CONFIG if RIG_CONFIG.exists() else ""
     os.execv(sys.executable, [sys.executable, "-m", "edge.page", str(file or usual)])
-
-
-def address(settings: Settings, opened: bool) -> str:
-    """Return where a browser finds the page."""
-    page = settings.page
-    name = next(iter(page.names), "")
-    if name and _is_loopback(page.host):
-        return f"https://{name}/"  # no name but a proxy's leads to a page that listens to this machine alone
-    scheme = "https" if page.certificate else "http"
-    name = name or (page.host.strip("0:.") and page.host)
-    host = name or (f"{socket.gethostname().partition('.')[0]}.local" if opened else "127.0.0.1")
-    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{page.port}/"
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _print_link(
@@ -109,6 +95,23 @@ def _print_link(
     print(f"{given.role}, {how}, {until}:", file=sys.stderr)
     # Behind "#", which no browser sends, so the secret stands in no log on the way.
     print(f"{address(settings, access.is_open_to_network)}#link={secret}")
+
+
+def _test_alarm(settings: Settings, access: Access) -> int:
+    """Print how each channel of the running page has done. Errors: RequestError where no page answers"""
+    if not settings.alarms.is_on:
+        raise RequestError("no channel is configured: see the section alarms of edge.yaml")
+    name, end_s = trial.ask(access, time.time()), time.monotonic() + trial.TRIAL_MAX_S
+    while (reasons := trial.answer_of(access, name)) is None:
+        if time.monotonic() > end_s:
+            raise RequestError(
+                f"no page has answered within {trial.TRIAL_MAX_S:g} s: does it run, with this configuration? "
+                "systemctl restart greenhouse-page"
+            )
+        time.sleep(TRIAL_LOOK_S)
+    for channel, reason in reasons.items():
+        print(f"{channel:10}{reason or 'arrived'}")
+    return 1 if any(reasons.values()) else 0
 
 
 def _password() -> str:

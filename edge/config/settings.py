@@ -5,6 +5,7 @@ from datetime import time
 from itertools import pairwise
 from pathlib import Path
 
+from edge.config.alarm_settings import AlarmSettings
 from edge.core import hard_limits as hard
 from edge.core.controller_names import AUTO, CONTROLLERS, EXTERNAL, LLM, MPC, RULES
 from edge.formats.cross_check import Section, clock, flag, items, number, text, whole
@@ -486,6 +487,7 @@ class Settings(Section):
     board: BoardSettings = field(default_factory=BoardSettings)
     control_socket: ControlSocketSettings = field(default_factory=ControlSocketSettings)
     page: PageSettings = field(default_factory=PageSettings)
+    alarms: AlarmSettings = field(default_factory=AlarmSettings)
     history: HistorySettings = field(default_factory=HistorySettings)
     mqtt: MqttSettings = field(default_factory=MqttSettings)
     control: ControlSettings = field(default_factory=ControlSettings)

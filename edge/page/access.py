@@ -185,6 +185,20 @@ class Access:
         with self._reading() as db:
             return db.execute("SELECT 1 FROM facts WHERE key = 'network'").fetchone() is not None
 
+    def fact(self, key: str) -> str | None:
+        """Return a text that the page or a command has left under a name, None where there is none."""
+        with self._reading() as db:
+            found = db.execute("SELECT value FROM facts WHERE key = ?", (key,)).fetchone()
+            return None if found is None else str(found[0])
+
+    def set_fact(self, key: str, value: str | None) -> None:
+        """Leave a text under a name, or None to remove it."""
+        with self._writing() as db:
+            if value is None:
+                db.execute("DELETE FROM facts WHERE key = ?", (key,))
+            else:
+                db.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (key, value))
+
     def _begin(
         self, db: sqlite3.Connection, link: int | None, role: Role, name: str, browser: str, until_utc: float
     ) -> tuple[str, Visitor]:

@@ -18,6 +18,8 @@ from edge.config.settings import Settings
 from edge.core.errors import GreenhouseError, RequestError
 from edge.page import export, rig_routes, session_routes
 from edge.page.access import Access, Role, Visitor
+from edge.page.alarms import alarm_routes
+from edge.page.alarms.alarm_desk import AlarmDesk
 from edge.page.answers import NotAllowed, answer
 from edge.page.guard import Guard, own_names
 from edge.page.page_state import Page
@@ -46,19 +48,24 @@ API: tuple[tuple[str, str, Role | None, Handler], ...] = (
     ("GET", "/api/sessions", Role.ADMIN, session_routes.sessions),
     ("DELETE", "/api/sessions/{session:int}", Role.ADMIN, session_routes.revoke),
     ("POST", "/api/links", Role.ADMIN, session_routes.make_link),
+    ("GET", "/api/alarms", Role.OPERATE, alarm_routes.alarms),
+    ("POST", "/api/alarms/test", Role.ADMIN, alarm_routes.test),
+    ("POST", "/api/alarms/acknowledge", Role.OPERATE, alarm_routes.acknowledge),
 )
 
 
 def make_app(settings: Settings) -> Guard:
     """Return the application of a rig."""
     rig = RigLink(Path(settings.control_socket.path), StopFile(settings.stop_folder))
-    page = Page(settings, Access.of(settings.page.folder), rig)
+    access = Access.of(settings.page.folder)
+    page = Page(settings, access, rig, AlarmDesk(settings, access, rig))
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        watching = asyncio.create_task(rig.watch())
+        tasks = [asyncio.create_task(rig.watch()), asyncio.create_task(page.alarms.run())]
         yield
-        watching.cancel()
+        for task in tasks:
+            task.cancel()
         for streams in page.streams.values():
             for ended in streams:
                 ended.set()

@@ -13,12 +13,14 @@ from starlette.requests import Request
 from edge.config.settings import Settings
 from edge.core.event_log import Allowance
 from edge.page.access import Access, Visitor
+from edge.page.alarms.alarm_desk import AlarmDesk
 from edge.page.answers import NotAllowed, in_thread
 from edge.page.rig_link import RigLink
 
 COOKIE = "greenhouse_session"
 TRIES, TRY_EVERY_S = 5, 20.0  # of a password, by one address for one name: at once; at length [s]
 TRIES_OF_ALL, TRIES_OF_ALL_S = 30, 1.0  # by all addresses for all names: each takes a quarter of a second
+TESTS, TESTS_S = 5, 20.0  # of alarm channels: at once; at length [s]
 TRIERS_MAX = 1000  # that are remembered
 
 
@@ -29,6 +31,8 @@ class Page:
     settings: Settings
     access: Access
     rig: RigLink
+    alarms: AlarmDesk
+    alarm_tests: Allowance = field(default_factory=lambda: Allowance(TESTS, 1.0 / TESTS_S, time.monotonic))
     tries: OrderedDict[str, Allowance] = field(default_factory=OrderedDict)
     all_tries: Allowance = field(
         default_factory=lambda: Allowance(TRIES_OF_ALL, 1.0 / TRIES_OF_ALL_S, time.monotonic)

@@ -1,0 +1,91 @@
+"""Looks at the rig and its history again and again, and enters into the book of alarms what it finds."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from edge.config.alarm_settings import AlarmSettings
+from edge.core.errors import DataError
+from edge.page.access import Access
+from edge.page.alarms.alarm_book import AlarmBook, EventPlace
+from edge.page.alarms.alarm_events import HistoryEvent, events_after, newest_place
+from edge.page.alarms.alarm_look import AlarmLook, enter
+from edge.page.alarms.rig_watch import Finding, RigWatch
+from edge.page.answers import in_thread
+from edge.page.rig_link import RigLink
+
+LOOKS_MAX_S = 60.0  # without a whole look: then no sign of life is given
+UNREAD_S = 60.0  # of a history that cannot be read, before that is an alarm
+UNREAD = "history.unread"
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """Times that a test sets by hand. utc : wall [s since 1970];  now : monotonic [s]"""
+
+    utc: Callable[[], float] = time.time
+    now: Callable[[], float] = time.monotonic
+
+
+@dataclass(slots=True)
+class AlarmWatch:
+    """The one who looks. place : of the history, up to which it has been read; None for its end, at first"""
+
+    settings: AlarmSettings
+    history: Path
+    access: Access
+    rig: RigLink
+    book: AlarmBook
+    place: EventPlace | None
+    clocks: Clocks
+    _rig_watch: RigWatch = field(init=False)
+    _looked_s: float = float("-inf")
+    _read_s: float = field(init=False)  # when the history was read
+
+    def __post_init__(self) -> None:
+        self._rig_watch = RigWatch(self.settings.silent_s, self.clocks.now())
+        self._read_s = self.clocks.now()
+
+    async def look(self) -> None:
+        """Look once. Errors: DataError where the page's own file cannot be read"""
+        events, unread = await self._read_history()
+        view, now_s, utc = self.rig.view(), self.clocks.now(), self.clocks.utc()
+        findings = [*self._rig_watch.look(view, now_s), self._history_finding(unread, view["reached"])]
+        enter(self.book, AlarmLook(utc, view, findings, events))
+        await self._note_seen()
+        self._looked_s = now_s
+
+    def problem(self) -> str:
+        """Return why no sign of life may be given, "" where all goes well."""
+        now_s, view = self.clocks.now(), self.rig.view()
+        if not view["reached"]:
+            return "the daemon does not answer"
+        if not self._rig_watch.is_alive(view, now_s):
+            return "the daemon makes no ticks"
+        return "" if now_s - self._looked_s <= LOOKS_MAX_S else "the page does not look for alarms"
+
+    async def _read_history(self) -> tuple[list[HistoryEvent], str]:
+        """Return new events, and why they cannot be read, "" where they can."""
+        try:
+            if self.place is None:
+                self.place = await in_thread(newest_place, self.history)
+            events, self.place = await in_thread(events_after, self.history, self.place)
+        except DataError as error:
+            return [], str(error)
+        return events, ""
+
+    def _history_finding(self, unread: str, reached: bool) -> Finding:
+        now_s = self.clocks.now()
+        if not unread:
+            self._read_s = now_s
+        # A daemon that has not run yet has no history, and is an alarm itself.
+        holds = bool(unread) and reached and now_s - self._read_s > UNREAD_S
+        text = f"the page cannot read the history, so its alarms do not reach you: {unread}"
+        return Finding(UNREAD, True if holds else None if unread else False, text)
+
+    async def _note_seen(self) -> None:
+        places = [place for alarm in self.book.alarms.values() if not alarm.seen_by for place in alarm.places]
+        if places:
+            first_seq = min(place.seq for place in places)
+            self.book.note_seen(await in_thread(self.access.who_acknowledged, first_seq))
