@@ -116,9 +116,7 @@ class PageProcess:
 
 
 @contextmanager
-def page_of(
-    folder: Path, sections: Mapping[str, Any] | None = None, **page: Any
-) -> Iterator[PageProcess]:
+def page_of(folder: Path, sections: Mapping[str, Any] | None = None, **page: Any) -> Iterator[PageProcess]:
     """Start a page, with `sections` as in PageProcess; kill it at the end."""
     running = PageProcess(folder, free_port(), sections, **page)
     try:

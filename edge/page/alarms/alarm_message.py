@@ -28,11 +28,7 @@ class AlarmMessage:
 def message_of(due: DueAlarms, rig: str, page: str, utc: float, repeats: bool = True) -> AlarmMessage:
     """Return the message that names all that is due. repeats : it comes again until it is acknowledged"""
     kind = ALARM if due.new else REPEAT if due.still else OVER
-    first, count = (due.new or due.still or due.over)[0], len(due)
-    told = plain(first.text, TITLE_MAX) if count == 1 else f"{count} alarms, one of them: {first.text}"
-    title = plain(f"{rig}: {'over: ' if kind == OVER else ''}{told}", TITLE_MAX)
-    if kind == OVER and count > 1:
-        title = f"{rig}: {count} alarms are over"
+    title = _title(due.new or due.still or due.over, rig, kind == OVER)
     hint = "Repeated until it is over, or acknowledged on the page.\n" if repeats and kind != OVER else ""
     text = f"{_fit(list(_lines(due)))}\n\n{hint}{rig}: {page}"
     return AlarmMessage(
@@ -50,6 +46,13 @@ def trial_message(rig: str, page: str, utc: float) -> AlarmMessage:
 def moment(utc: float) -> str:
     """Return a time as this machine's wall clock shows it."""
     return time.strftime("%Y-%m-%d %H:%M %Z", time.localtime(utc))
+
+
+def _title(alarms: tuple[RigAlarm, ...], rig: str, are_over: bool) -> str:
+    many = f"{len(alarms)} alarms{' are over' if are_over else ''}, one of them: " if len(alarms) > 1 else ""
+    over = "over: " if are_over and not many else ""
+    # "=?" begins an encoded word, which could hide a line end from whoever writes a header.
+    return plain(f"{rig}: {over}{many}{alarms[0].text}".replace("=?", "= ?"), TITLE_MAX)
 
 
 def _lines(due: DueAlarms) -> Iterator[str]:

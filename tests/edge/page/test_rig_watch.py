@@ -3,32 +3,11 @@
 from typing import Any
 
 import pytest
+from rig_views import view
 
 from edge.page.alarms.rig_watch import AIR, BOARD, BOARD_TRIP, DAEMON, HOLD_S, STOP, TICKS, RigWatch, cause_of
 
 SILENT_S = 120.0
-
-
-def view(
-    reached: bool = True, silent_s: float | None = 0.0, waits: Any = None, **status: Any
-) -> dict[str, Any]:
-    tick = {"seq": 5, "step_s": 60.0, "readings": {"temp_air_c": {"value": 24.0, "quality": "good"}}}
-    known = {
-        "operation": {"emergency_stop": False},
-        "since_start_s": 1e5,
-        "trips": [],
-        "tick": tick,
-        "echo": {"tripped": 0, "trip_cause": ""},
-        "link_up": 1,
-    } | status
-    return {
-        "reached": reached,
-        "error": "" if reached else "no daemon listens at /run/x",
-        "silent_s": silent_s,
-        "lease_s": 10.0,
-        "stop_waits": waits,
-        "status": known if reached or silent_s is not None else None,
-    }
 
 
 def says(watch: RigWatch, seen: dict[str, Any], now_s: float) -> dict[str, bool | None]:
