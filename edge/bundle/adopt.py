@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.bundle.manifest import TWIN, Manifest
+from edge.bundle.roles import ADOPTED
 from edge.bundle.sign import ManifestFacts, sign_folder
 from edge.bundle.store import BundleStore
 from edge.core.errors import DataError, RequestError
@@ -20,7 +21,6 @@ from edge.models.pbm import read_twin
 from edge.twin.twin_file import TwinFile, read_twin_file
 
 REPORT = "report.json"
-_SUFFIX = re.compile(r"-twin-[0-9a-f]{8}$")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _BASE_CHARS = 50  # of the version before, so that the new one is no longer than a version may be
 
@@ -32,11 +32,6 @@ class AdoptedBundle:
     manifest: Manifest
     base: str
     dropped: tuple[str, ...]
-
-
-def is_adopted(version: str | None) -> bool:
-    """Return whether a bundle of this version was made by `with_twin`."""
-    return version is not None and _SUFFIX.search(version) is not None
 
 
 def with_twin(store: BundleStore, twin: Path, created_utc: str, key: Path, folder: Path) -> AdoptedBundle:
@@ -69,7 +64,7 @@ def with_twin(store: BundleStore, twin: Path, created_utc: str, key: Path, folde
             shutil.copyfile(base / name, folder / name)
     shutil.copyfile(twin, folder / TWIN)
     _note(folder / REPORT, {"from": before.version, "left_out": list(dropped)})
-    version = f"{_SUFFIX.sub('', before.version)[:_BASE_CHARS]}-twin-{new.sha256[:8]}"
+    version = f"{ADOPTED.sub('', before.version)[:_BASE_CHARS]}-twin-{new.sha256[:8]}"
     facts = ManifestFacts(
         version,
         str(file.provenance.get("created_utc", created_utc)),

@@ -10,12 +10,14 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from enum import Enum
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+from edge.bundle.inventory import Inventory, take_inventory
 from edge.bundle.manifest import PACKAGED, TWIN
-from edge.bundle.roles import Roles, activate, marked_good, reject_shadow
+from edge.bundle.roles import Roles, activate, last_adopted, marked_good, reject_shadow
 from edge.bundle.store import BundleStore, LoadedBundle
 from edge.bundle.trial import HorizonScore, Judgement, Scores, TrialVerdict, judge
 from edge.core.clock import Clock
@@ -23,7 +25,7 @@ from edge.core.errors import DataError, RequestError
 from edge.core.messages import Event, Severity, TickRecord
 from edge.core.plain_text import plain, quote
 from edge.formats.cross_check import Rule
-from edge.tick.orders import read_request
+from edge.tick.orders import read_request, with_author
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +79,7 @@ def _activate(store: BundleStore, version: str | None) -> Roles:
 
 
 def _roll_back(store: BundleStore, version: str | None) -> Roles:
-    return store.roll_back()
+    return store.roll_back(version)
 
 
 def _mark_good(store: BundleStore, version: str | None) -> Roles:
@@ -85,7 +87,17 @@ def _mark_good(store: BundleStore, version: str | None) -> Roles:
 
 
 def _reject(store: BundleStore, version: str | None) -> Roles:
-    return store.change(reject_shadow)
+    return store.change(partial(reject_shadow, version=version))
+
+
+def _undo_adoption(store: BundleStore, version: str | None) -> Roles:
+    """Take back the twin that was adopted last, from shadow or from the active bundle."""
+    roles = store.roles()
+    last = last_adopted(roles)
+    if last is None:
+        beside = roles.shadow or "none"
+        raise RequestError(f"no adopted twin runs: bundle {roles.active} is active, {beside} beside it")
+    return (_reject if last == roles.shadow else _roll_back)(store, version or last)
 
 
 def _refresh(store: BundleStore, version: str | None) -> Roles:
@@ -97,6 +109,7 @@ ACTIONS: dict[str, Action] = {
     "rollback": _roll_back,
     "mark-good": _mark_good,
     "reject": _reject,
+    "undo-adoption": _undo_adoption,
     "refresh": _refresh,  # changes nothing: the daemon reads again what others have changed
     "refresh-older": _refresh,  # the same after `install --allow-older VERSION`, for the event
 }
@@ -128,11 +141,22 @@ class _Job:
     why: str
 
 
+_LOOK = _Job(0, "list", None, "")
+
+
+class _Age(Enum):
+    """State of the inventory. Looking takes a process for each signature, so nobody looks unasked."""
+
+    OLD = "old"
+    ASKED = "asked"
+    NEW = "new"
+
+
 @dataclass(frozen=True, slots=True)
 class BundleRequest:
     """Keys of the request; job : whose outcome is asked for with the status."""
 
-    action: Annotated[str, Rule(choices=("status", *ACTIONS))]
+    action: Annotated[str, Rule(choices=("status", "list", *ACTIONS))]
     version: str | None = None
     job: int | None = None
 
@@ -155,6 +179,8 @@ class BundleKeeper:
         self._told: deque[tuple[Severity, str, str]] = deque()
         self._judgement: Judgement | None = None
         self._decided: Serving | None = None  # what the scores have had their say on
+        self._inventory = Inventory()
+        self._inventory_age = _Age.OLD
         self._thread = threading.Thread(target=self._run, name="bundles", daemon=True)
         self._thread.start()
 
@@ -166,7 +192,9 @@ class BundleKeeper:
             return _refusal(str(error))
         if asked.action == "status":
             return {"ok": True, **self._status(asked.job)}
-        job = self._post(asked.action, asked.version, "asked for")
+        if asked.action == "list":
+            return {"ok": True, **self._status(None), **self._list()}
+        job = self._post(asked.action, asked.version, with_author("asked for", request))
         return _refusal("too many requests wait") if job is None else {"ok": True, "job": job}
 
     def consider(self, serving: Serving, rows: Sequence[HorizonScore]) -> None:
@@ -219,6 +247,9 @@ class BundleKeeper:
 
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:
+            if job is _LOOK:
+                self._look()
+                continue
             try:
                 error = self._do(job)
             except Exception as bug:  # told and gone on: the thread must be there for the next job
@@ -230,6 +261,7 @@ class BundleKeeper:
                 self._outcomes[job.number] = error
                 self._outcomes.pop(job.number - JOBS_REMEMBERED, None)
                 self._done = job.number
+                self._inventory_age = _Age.OLD
 
     def _do(self, job: _Job) -> str:
         """Change the store, then what serves. Returns the error, "" without one."""
@@ -243,6 +275,20 @@ class BundleKeeper:
             severity, why = Severity.WARNING, f"--allow-older took in {quote(job.version)}"
         self._told.append((severity, f"bundle.{job.action}", f"{why}; {_in_words(self.serving)}"))
         return ""
+
+    def _list(self) -> dict[str, Any]:
+        """Return what is known of all installed bundles; `looking` where the thread is about to know more."""
+        with self._posting:
+            if self._inventory_age is _Age.OLD:
+                self._inventory_age = _Age.ASKED
+                self._jobs.put(_LOOK)
+            looking = self._inventory_age is _Age.ASKED
+        return {"looking": looking, **asdict(self._inventory)}
+
+    def _look(self) -> None:
+        inventory = take_inventory(self._store, self._inventory)
+        with self._posting:
+            self._inventory, self._inventory_age = inventory, _Age.NEW
 
     def _status(self, job: int | None) -> dict[str, Any]:
         serving, judgement = self.serving, self._judgement

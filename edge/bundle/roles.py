@@ -4,11 +4,19 @@ install -> shadow -> activate -> on probation -> good
               \\-> rejected           \\-> rolled back
 """
 
+import re
 from dataclasses import dataclass, field, replace
 
 from edge.bundle.manifest import PACKAGED, Version
 from edge.core.errors import RequestError
 from edge.formats.cross_check import REQUIRED
+
+ADOPTED = re.compile(r"-twin-[0-9a-f]{8}$")  # end of a version that `edge.bundle.adopt` has made
+
+
+def is_adopted(version: str | None) -> bool:
+    """Return whether a bundle of this version was made for a twin that a diagnosis found."""
+    return version is not None and ADOPTED.search(version) is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +57,23 @@ def activate(roles: Roles, version: str | None) -> Roles:
     return Roles(version, previous, shadow, on_probation=True)
 
 
-def rolled_back(roles: Roles) -> Roles:
-    """Make the previous bundle active again, without one the packaged. Errors: RequestError"""
+def rolled_back(roles: Roles, version: str | None = None) -> Roles:
+    """Make the previous bundle active again, without one the packaged. Errors: RequestError
+
+    version : that is to be left; None whichever is active
+    """
+    _check_still(version, roles.active, "active")
     if roles.active == PACKAGED and roles.previous is None:
         raise RequestError("the packaged bundle is active and there is none before it")
     return Roles(roles.previous or PACKAGED, None, roles.shadow)
+
+
+def back_to(roles: Roles) -> str | None:
+    """Return the bundle that a roll back makes active, None where there is none."""
+    try:
+        return rolled_back(roles).active
+    except RequestError:
+        return None
 
 
 def marked_good(roles: Roles) -> Roles:
@@ -63,8 +83,23 @@ def marked_good(roles: Roles) -> Roles:
     return replace(roles, on_probation=False)
 
 
-def reject_shadow(roles: Roles) -> Roles:
-    """End a shadow that is not better; it stays installed. Errors: RequestError"""
+def reject_shadow(roles: Roles, version: str | None = None) -> Roles:
+    """End a shadow that is not better; it stays installed. Errors: RequestError
+
+    version : of that shadow; None whichever it is
+    """
     if roles.shadow is None:
         raise RequestError("no bundle runs in shadow")
+    _check_still(version, roles.shadow, "in shadow")
     return replace(roles, shadow=None)
+
+
+def last_adopted(roles: Roles) -> str | None:
+    """Return the bundle of the twin that was adopted last and runs, None where there is none."""
+    return next((version for version in (roles.shadow, roles.active) if is_adopted(version)), None)
+
+
+def _check_still(version: str | None, now: str, role: str) -> None:
+    """Refuse an order that somebody gave who saw another bundle in this role. Errors: RequestError"""
+    if version not in (None, now):
+        raise RequestError(f"bundle {version} is not {role} any more: {now} is")

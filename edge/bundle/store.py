@@ -19,6 +19,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -31,7 +32,7 @@ from edge.core.predictor import Predictor
 from edge.forecasts.conformal import Intervals, read_intervals
 from edge.formats.atomic_file import make_folder, move, read_document, sync_folder, write_document
 from edge.formats.cross_check import REQUIRED
-from edge.formats.input_file import Folder, read_file
+from edge.formats.input_file import Folder, MemoryFolder, read_file
 from edge.formats.reader import read
 from edge.models.onnx_policy import OnnxPolicy, read_policy
 
@@ -163,6 +164,12 @@ class BundleStore:
         except DataError as error:
             raise DataError(f"bundle {version}: {error}") from error
 
+    def read_bundle(self, version: str) -> tuple[Manifest, MemoryFolder]:
+        """Return manifest and files of an installed bundle; its models are not tried. Errors: DataError,
+        RequestError
+        """
+        return read_checked(self.folder_of(version), self._keys)
+
     def load_folder(self, folder: Path, name: str = "") -> LoadedBundle:
         """Load the bundle in `folder`; the bytes that were checked are those
         that are loaded. Errors: DataError
@@ -214,10 +221,10 @@ class BundleStore:
             self._write(after)
         return after
 
-    def roll_back(self) -> Roles:
-        """To the previous bundle; where that is damaged, to the packaged one."""
+    def roll_back(self, version: str | None = None) -> Roles:
+        """To the previous bundle; where that is damaged, to the packaged one. version : that is to be left"""
         try:
-            return self.change(rolled_back)
+            return self.change(partial(rolled_back, version=version))
         except DataError:
             return self.change(lambda roles: Roles(PACKAGED, None, roles.shadow))
 

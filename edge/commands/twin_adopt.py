@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-from edge.bundle.adopt import AdoptedBundle, is_adopted, with_twin
+from edge.bundle.adopt import AdoptedBundle, with_twin
 from edge.bundle.archive import open_archive, pack
 from edge.bundle.manifest import FILE_NAME
 from edge.commands.arguments import writing
@@ -159,15 +159,7 @@ def _back(arguments: argparse.Namespace) -> None:
         print(f"{arguments.to}: as before")
         return
     settings = settings_of(arguments.config)
-    store = store_of(settings)
-    roles = store.roles()
-    if is_adopted(roles.shadow):
-        change(store, settings, "reject", None)
-    elif is_adopted(roles.active):
-        change(store, settings, "rollback", None)
-    else:
-        beside = roles.shadow or "none"
-        raise RequestError(f"no adopted twin runs: bundle {roles.active} is active, {beside} beside it")
+    change(store_of(settings), settings, "undo-adoption", None)
 
 
 def _replace(twin: Path, target: Path) -> None:

@@ -33,6 +33,11 @@ def in_words(request: Request) -> str:
     return with_author(_WORDS[request["do"]](request), request)
 
 
+def author_of(request: Request) -> dict[str, Any]:
+    """Return the key AUTHOR of a request, for another one that carries it out; {} where it has none."""
+    return {AUTHOR: request[AUTHOR]} if AUTHOR in request else {}
+
+
 def with_author(text: str, request: Request) -> str:
     """Add who gave a request to what it did, where the request says it."""
     author = request.get(AUTHOR)

@@ -19,7 +19,7 @@ from edge.core.errors import GreenhouseError, RequestError
 from edge.core.plain_text import plain, quote
 from edge.tick import steering as steerings
 from edge.tick.inbox import is_in_force
-from edge.tick.orders import NoKeys, read_request
+from edge.tick.orders import NoKeys, author_of, read_request
 from edge.tick.reference import seconds_of_day, zone_of
 from edge.tick.steering import HOURS_MAX, WORDS_MAX, Steering
 from edge.twin.model import BoxTwin
@@ -192,9 +192,10 @@ class WishDesk:
                     return self._discard(self._find(read_request(ProposalRequest, request).id))
                 case "undo":
                     read_request(NoKeys, request)
-                    return self._undo()
+                    return self._undo(author_of(request))
                 case _:
-                    return self._confirm(self._find(read_request(ProposalRequest, request).id))
+                    proposal = self._find(read_request(ProposalRequest, request).id)
+                    return self._confirm(proposal, author_of(request))
         except RequestError as error:
             return {"ok": False, "error": str(error)}
 
@@ -220,14 +221,15 @@ class WishDesk:
         self._thread.start()
         return {"ok": True, "proposal": proposal.as_json()}
 
-    def _confirm(self, proposal: PendingRequest) -> Json:
+    def _confirm(self, proposal: PendingRequest, author: Json) -> Json:
         if proposal.state != "ready" or proposal.steering is None:
             raise RequestError(f"confirm: proposal {proposal.id} cannot be confirmed: {proposal.state}")
         with self._lock:  # once: a second confirmation is told so
             if self._proposals[proposal.id].state != "ready":
                 raise RequestError(f"confirm: proposal {proposal.id} has been taken up already")
             self._keep(replace(proposal, state="confirmed"))
-        answer = self._around.loop({"do": "steer", "steering": steerings.to_dict(proposal.steering)})
+        steering = steerings.to_dict(proposal.steering)
+        answer = self._around.loop({"do": "steer", "steering": steering, **author})
         if is_in_force(answer):
             self._publish(replace(proposal, state="confirmed"))
         else:
@@ -245,9 +247,9 @@ class WishDesk:
         self._publish(discarded)
         return {"ok": True, "proposal": discarded.as_json()}
 
-    def _undo(self) -> Json:
+    def _undo(self, author: Json) -> Json:
         standing = self._around.loop({"do": "status"}).get("operation", {}).get("steering")
-        answer = self._around.loop({"do": "undo"})
+        answer = self._around.loop({"do": "undo", **author})
         if is_in_force(answer) and standing:
             with self._lock:
                 # After a restart the desk does not know the proposal that the loop still carried out.

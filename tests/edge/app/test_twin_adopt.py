@@ -16,8 +16,8 @@ from training_runs import BOX, box_run
 
 from edge.__main__ import main
 from edge.app.active_models import ActiveModels
-from edge.bundle.adopt import is_adopted
 from edge.bundle.predictors import loader
+from edge.bundle.roles import is_adopted
 from edge.bundle.sign import generate_key
 from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.config import loading as config

@@ -122,6 +122,17 @@ def test_every_new_state_of_a_proposal_is_published() -> None:
     assert {told["id"] for told in office.told[4:]} == {other["id"]}
 
 
+def test_confirmation_and_undo_reach_the_loop_with_their_author() -> None:
+    office = Office()
+    proposal = office.ask()
+    office.desk.answer({"do": "confirm", "id": proposal["id"], "by": "Ann (page)"})
+    office.desk.answer({"do": "undo", "by": "Bob (page)"})
+    assert [(order["do"], order["by"]) for order in office.orders] == [
+        ("steer", "Ann (page)"),
+        ("undo", "Bob (page)"),
+    ]
+
+
 def test_an_expired_proposal_is_published_without_being_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("edge.assistant.requests.desk.PROPOSAL_AGE_MAX_S", -0.99)  # the timer adds a second
     office = Office()

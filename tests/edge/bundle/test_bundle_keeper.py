@@ -96,7 +96,7 @@ def test_the_control_thread_never_waits_for_models_that_load(workshop: Workshop)
 def test_an_order_that_fails_is_told_and_changes_nothing(workshop: Workshop) -> None:
     with keeping(make_store(workshop)) as keeper:
         refused = keeper.answer({"action": "fly"})
-        assert not refused["ok"] and "action: 'fly' is none of status, activate" in refused["error"]
+        assert not refused["ok"] and "action: 'fly' is none of status, list, activate" in refused["error"]
         before = keeper.serving
         status = done(keeper, keeper.answer({"action": "activate", "version": "9"}))
         assert status["job_error"] == "bundle 9 is not installed; known: packaged"
@@ -199,3 +199,66 @@ def test_an_automatic_order_that_fails_is_not_repeated_at_each_tick(workshop: Wo
         time.sleep(0.05)
         told += keeper.events_pending()
     assert [event.key for event in told] == ["bundle.failed"]
+
+
+def listed(keeper: BundleKeeper) -> dict[str, Any]:
+    """All bundles, once the thread has looked."""
+    for _ in range(1000):
+        found = keeper.answer({"do": "bundle", "action": "list"})
+        if not found["looking"]:
+            return found
+        time.sleep(0.005)
+    raise AssertionError("nobody looks")
+
+
+def test_an_order_is_told_with_its_author(workshop: Workshop) -> None:
+    with keeping(make_store(workshop, "1.0")) as keeper:
+        asked = {"do": "bundle", "action": "activate", "by": "Ann (page)\n"}
+        done(keeper, keeper.answer(asked))
+        done(keeper, keeper.answer(asked))
+        done_well, failed = keeper.events_pending()
+    assert done_well.text.startswith("asked for, by Ann (page); 1.0 is active, on probation")
+    assert failed.text.startswith("activate (asked for, by Ann (page)): no bundle runs in shadow")
+
+
+def test_the_list_says_what_is_installed_and_where_a_roll_back_leads(workshop: Workshop) -> None:
+    with keeping(make_store(workshop)) as keeper:
+        assert keeper.answer({"action": "list"})["looking"]
+        found = listed(keeper)
+        [packaged] = found["bundles"]
+        assert (packaged["version"], packaged["created_utc"]) == (PACKAGED, "2026-07-01T12:00:00Z")
+        assert (packaged["models"], packaged["problem"]) == (("arx", "pbm"), "")
+        assert packaged["effects"] == ()  # the workshop's twin adds none
+        assert (found["active"], found["back_to"], found["undo"]) == (PACKAGED, None, None)
+        install(keeper._store, workshop.archive("1.0"))
+        settled(keeper)
+        assert listed(keeper)["shadow"] == "1.0"
+        done(keeper, keeper.answer({"action": "activate"}))
+        found = listed(keeper)
+    assert [bundle["version"] for bundle in found["bundles"]] == [PACKAGED, "1.0"]
+    assert (found["active"], found["back_to"], found["shadow"]) == ("1.0", PACKAGED, None)
+
+
+def test_a_damaged_bundle_is_listed_with_the_reason(workshop: Workshop) -> None:
+    store = make_store(workshop, "1.0")
+    with keeping(store) as keeper:
+        (store.folder / "1.0" / "arx.json").write_text("{}")
+        (store.folder / "roles.json").write_text("{")
+        found = listed(keeper)
+    assert "arx.json: has 2 bytes" in found["bundles"][1]["problem"]
+    assert found["back_to"] is None
+
+
+def test_who_saw_another_bundle_rolls_nothing_back(workshop: Workshop) -> None:
+    store = make_store(workshop, "1.0")
+    with keeping(store) as keeper:
+        done(keeper, keeper.answer({"action": "activate"}))
+        for action, version, reason in (
+            ("rollback", "2.0", "bundle 2.0 is not active any more: 1.0 is"),
+            ("reject", "1.0", "no bundle runs in shadow"),
+            ("undo-adoption", None, "no adopted twin runs: bundle 1.0 is active, none beside it"),
+        ):
+            status = done(keeper, keeper.answer({"action": action, "version": version}))
+            assert status["job_error"] == reason
+        assert store.roles().active == "1.0"
+        assert done(keeper, keeper.answer({"action": "rollback", "version": "1.0"}))["active"] == PACKAGED
