@@ -139,7 +139,8 @@ class Daemon:
         inbox = Inbox()
         stack.callback(inbox.close)
         desk = self._desk(inbox, models, llm)
-        routes = Routes(settings, inbox, bundles, desk, self.commissioning)
+        nightly = self._nightly(bundles)
+        routes = Routes(settings, inbox, bundles, desk, self.commissioning, nightly)
         # First of all that is shared: where a daemon runs already nothing else is touched.
         socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post, stop_file)
         stack.callback(socket.close)
@@ -151,9 +152,9 @@ class Daemon:
         stack.callback(storage.close)
         state = StandingSink(StateWriter(STANDING, settings))
         stack.callback(state.writer.close)
-        sinks: list[Sink] = [storage, state, skill, *([bundles] if bundles else []), *self.more_sinks]
+        sinks: list[Sink] = [storage, state, skill, *self.more_sinks]
+        sinks += [part for part in (bundles, nightly) if part]
         drift = self._drift(sinks)
-        nightly = self._nightly(sinks, bundles)
         show: Callable[[LoopStatus], None] = lambda status: None  # noqa: E731
         show_commissioning: ShowState | None = None
         if settings.mqtt.enabled:
@@ -260,10 +261,10 @@ class Daemon:
         sinks.append(keeping)
         return monitor
 
-    def _nightly(self, sinks: list[Sink], bundles: BundleKeeper | None) -> NightlyDiagnosis | None:
-        """None unless it is configured, and there are bundles whose twin it could diagnose."""
+    def _nightly(self, bundles: BundleKeeper | None) -> NightlyDiagnosis | None:
+        """None where there are no bundles, whose twin it could diagnose and replace."""
         settings = self.settings
-        if settings.drift.diagnose == "never" or bundles is None:
+        if bundles is None:
             return None
         places = Places(
             Path(settings.history.path),
@@ -274,7 +275,6 @@ class Daemon:
         )
         nightly = NightlyDiagnosis(settings.drift, places, self.clock, zone_of(settings.timezone))
         self._stack.callback(nightly.close)
-        sinks.append(nightly)
         return nightly
 
     def _orders(self, standing: Operation) -> Operation:

@@ -23,16 +23,21 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, time, tzinfo
+from functools import partial
 from pathlib import Path
 from time import monotonic, sleep
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
+from edge.bundle.manifest import FILE_NAME
 from edge.config.settings import DriftSettings
 from edge.core.clock import Clock
+from edge.core.errors import RequestError
 from edge.core.messages import DriftState, Event, Severity, TickRecord
+from edge.core.plain_text import plain, quote
 from edge.formats.atomic_file import write_atomically
 from edge.formats.cross_check import Rule
 from edge.formats.reader import DocumentError, Foreign, parse_json, read, read_bytes, read_json
+from edge.tick.orders import read_request, with_author
 from edge.tick.reference import seconds_of_day
 
 GREENHOUSE = (sys.executable, "-m", "edge")
@@ -144,6 +149,29 @@ _LOWEST = (  # each where the machine has it
     ("ionice", "-t", "-c", "3"),
 )
 _HOW = {"shadow": "--shadow", "activate": "--activate"}  # settings.drift.adopt -> of `twin adopt`
+DIAGNOSIS = "diagnosis.json"
+ERROR_MAX = 400  # characters of what is said of an adoption that failed
+
+
+@dataclass(frozen=True, slots=True)
+class AdoptRequest:
+    """Keys of the request.
+
+    report : name of a folder in `drift.reports`; how : as `drift.adopt`
+    job : of an earlier request, whose outcome is asked for
+    """
+
+    report: Annotated[str, Rule(pattern=FILE_NAME.pattern)] | None = None
+    how: Literal["shadow", "activate"] = "shadow"
+    job: int | None = None
+
+
+@dataclass(slots=True)
+class Adoption:
+    """An adoption that a person asked for. error : None while it is under way, "" where it succeeded"""
+
+    number: int
+    error: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +245,7 @@ class BackgroundProcess:
 
 
 class NightlyDiagnosis:
-    """A sink of tick records: a tick at the set hour starts it.
+    """A sink of tick records: a tick at the set hour starts it. Adopts twins of its reports when it is asked.
 
     program : `greenhouse` as words of a command line
     """
@@ -234,8 +262,10 @@ class NightlyDiagnosis:
         self._background = BackgroundProcess(places.requests, program)
         self._before_utc: float | None = None
         self._told: deque[tuple[str, Severity, str]] = deque()
-        self._jobs: queue.SimpleQueue[str | None] = queue.SimpleQueue()  # names of the reports' folders
+        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._beginning = threading.Lock()
         self._busy = False
+        self._adoption = Adoption(0)  # the last one that was asked for
         self._thread = threading.Thread(target=self._run, name="diagnosis", daemon=True)
         self._thread.start()
 
@@ -243,11 +273,27 @@ class NightlyDiagnosis:
         """Start a diagnosis if it is time. Never waits."""
         before, self._before_utc = self._before_utc, record.utc
         disagrees = record.drift is not None and record.drift.state is DriftState.DISAGREES
-        if self._busy or not (disagrees or self._settings.diagnose == "always"):
+        wanted = {"never": False, "disagrees": disagrees, "always": True}[self._settings.diagnose]
+        if not wanted or before is None:
             return
-        if before is not None and is_due(before, record.utc, self._settings.diagnose_at, self._zone):
-            self._busy = True
-            self._jobs.put(datetime.fromtimestamp(record.utc, self._zone).strftime("%Y-%m-%d_%H%M"))
+        if is_due(before, record.utc, self._settings.diagnose_at, self._zone):
+            name = datetime.fromtimestamp(record.utc, self._zone).strftime("%Y-%m-%d_%H%M")
+            self._begin(partial(self._diagnose, Path(self._settings.reports) / name))
+
+    def answer(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Begin to adopt the twin of a report, or say how an adoption went. Never waits, never raises."""
+        try:
+            asked = read_request(AdoptRequest, request)
+            if asked.job is not None:
+                return {"ok": True, **self._outcome(asked.job)}
+            report = self._report(asked.report)
+            adoption = Adoption(self._adoption.number + 1)
+            if not self._begin(partial(self._adopt_asked, adoption, report, _HOW[asked.how], request)):
+                raise RequestError("adopt: a diagnosis or an adoption is under way: try again after it")
+        except RequestError as error:
+            return {"ok": False, "error": str(error)}
+        self._adoption = adoption
+        return {"ok": True, "job": adoption.number}
 
     def faults(self) -> Mapping[str, str]:
         """Return no fault: a failed diagnosis is an event, nothing here lasts."""
@@ -265,15 +311,38 @@ class NightlyDiagnosis:
         self._jobs.put(None)
         self._thread.join(timeout=5.0)
 
+    def _begin(self, job: Callable[[], None]) -> bool:
+        """Hand a job to the thread; False where one is under way."""
+        with self._beginning:
+            if self._busy:
+                return False
+            self._busy = True
+            self._jobs.put(job)
+            return True
+
+    def _report(self, name: str | None) -> Path:
+        """Return the folder of a report. Errors: RequestError"""
+        folder = Path(self._settings.reports) / (name or "")
+        if name is None or folder.is_symlink() or not (folder / DIAGNOSIS).is_file():
+            raise RequestError(f"adopt: report: there is no report {quote(name)} in {folder.parent}")
+        return folder
+
+    def _outcome(self, job: int) -> dict[str, Any]:
+        last = self._adoption
+        if job != last.number:
+            raise RequestError(f"adopt: job: {job} is forgotten")
+        return {"job_done": last.error is not None, "job_error": last.error or ""}
+
     def _run(self) -> None:
-        while (name := self._jobs.get()) is not None:
+        while (job := self._jobs.get()) is not None:
             try:
-                self._diagnose(Path(self._settings.reports) / name)
+                job()
             except (_DiagnosisFailure, BackgroundFailure) as failure:
                 self._tell("diagnosis.failed", str(failure), Severity.WARNING)
             except Exception as error:  # a full disk, a bug: told, and the next night tries again
                 self._tell("diagnosis.failed", f"{type(error).__name__}: {error}", Severity.WARNING)
-            self._busy = False
+            with self._beginning:
+                self._busy = False
 
     def _diagnose(self, report: Path) -> None:
         settings, places = self._settings, self._places
@@ -296,7 +365,7 @@ class NightlyDiagnosis:
             twin,
         )
         self._call(("diagnose", *given, "--out", report), report / LOG, 60.0 * settings.diagnose_max_min)
-        found = _findings(report / "diagnosis.json")
+        found = _findings(report / DIAGNOSIS)
         self._tell("diagnosis.done", f"{_in_words(found)}; report: {report}")
         if found.twin_after and settings.adopt in _HOW:
             self._adopt(report)
@@ -305,9 +374,26 @@ class NightlyDiagnosis:
         if self._places.on_trial():
             self._tell("diagnosis.kept", f"a bundle is on trial, so the twin stays in {report}")
             return
+        self._tell("diagnosis.adopted", self._run_adoption(report, _HOW[self._settings.adopt]))
+
+    def _adopt_asked(self, adoption: "Adoption", report: Path, how: str, request: Mapping[str, Any]) -> None:
+        """Adopt what a person asked for; its outcome is told with their name."""
+        error = "internal error"
+        try:
+            said = f"the twin of {report.name} is adopted: {self._run_adoption(report, how)}"
+            self._tell("diagnosis.adopted", with_author(said, request))
+            error = ""
+        except (_DiagnosisFailure, BackgroundFailure, OSError) as failure:
+            error = plain(str(failure), ERROR_MAX)
+            self._tell("diagnosis.failed", with_author(f"{report.name}: {error}", request), Severity.WARNING)
+        finally:
+            adoption.error = error
+
+    def _run_adoption(self, report: Path, how: str) -> str:
+        """Adopt the twin of a report and return the command's last line. Errors: as `_call`; OSError"""
         config = () if self._places.config is None else ("--config", self._places.config)
-        self._call(("adopt", report, _HOW[self._settings.adopt], *config), report / LOG, ADOPT_MAX_S)
-        self._tell("diagnosis.adopted", _last_line(report / LOG))
+        self._call(("adopt", report, how, *config), report / LOG, ADOPT_MAX_S)
+        return _last_line(report / LOG)
 
     def _call(self, words: Sequence[str | Path], log: Path, patience_s: float) -> None:
         """Run `greenhouse twin ...` to its end. Errors: _DiagnosisFailure, BackgroundFailure"""

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Protocol
 
+from edge.app.nightly_diagnosis import NightlyDiagnosis
 from edge.assistant.requests.desk import WishDesk
 from edge.assistant.why.ask_history import why
 from edge.bundle.keeper import BundleKeeper
@@ -55,6 +56,7 @@ class Routes:
     bundles: BundleKeeper | None
     desk: WishDesk
     commissioning: Commissioning | None = None
+    nightly: NightlyDiagnosis | None = None
 
     def ask(self, request: Request) -> Reply:
         """Return the answer; never raises."""
@@ -68,6 +70,8 @@ class Routes:
                     return {"ok": True, **why(self.settings.history.path, at_utc, zone)}
                 case "bundle":
                     return self.bundles.answer(request) if self.bundles else _no_bundles()
+                case "adopt":
+                    return self.nightly.answer(request) if self.nightly else _no_bundles()
                 case "commission" if self.commissioning is not None:
                     return self.commissioning.answer(request, lambda: self.inbox.ask({"do": "status"}))
                 case "commission":

@@ -224,6 +224,74 @@ def test_a_diagnosis_that_fails_is_told_and_the_next_night_tries_again(tmp_path,
         wait_for(lambda: len(night.calls) == 2)
 
 
+# by order
+
+
+def adopted(night: Night, **values: object) -> dict[str, object]:
+    """The outcome of an order."""
+    begun = night.diagnosis.answer({"do": "adopt", "by": "Ann (page)", **values})
+    assert begun["ok"], begun
+    wait_for(lambda: night.diagnosis.answer({"do": "adopt", "job": begun["job"]})["job_done"])
+    return night.diagnosis.answer({"do": "adopt", "job": begun["job"]})
+
+
+@pytest.fixture
+def report(tmp_path: Path) -> Path:
+    folder = tmp_path / "reports" / "2026-07-01_0300"
+    folder.mkdir(parents=True)
+    (folder / "diagnosis.json").write_text("{}")
+    return folder
+
+
+@pytest.mark.parametrize(("how", "word"), [("shadow", "--shadow"), ("activate", "--activate")])
+def test_a_person_has_a_twin_adopted_where_no_diagnosis_runs_at_night(tmp_path, report, how, word):
+    with Night(tmp_path, diagnose="never", adopt="never") as night:
+        assert adopted(night, report=report.name, how=how)["job_error"] == ""
+        told = night.told("diagnosis.adopted")
+        night.strike_three()
+    assert told == ("the twin of 2026-07-01_0300 is adopted: bundle 1.0-twin is installed, by Ann (page)")
+    [call] = night.calls
+    assert call.endswith(f"twin adopt {report} {word} --config {tmp_path}/edge.yaml")
+
+
+def test_an_adoption_that_is_refused_is_told_with_its_reason(tmp_path, report):
+    with Night(tmp_path, "sys.exit('no key to sign with')") as night:
+        assert adopted(night, report=report.name)["job_error"] == ("adopt: ended with 1: no key to sign with")
+        assert night.told("diagnosis.failed").endswith("no key to sign with, by Ann (page)")
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"report": "2026-07-02_0300"}, "there is no report"),
+        ({"report": "../reports/2026-07-01_0300"}, "adopt: report"),
+        ({"report": "/etc"}, "adopt: report"),
+        ({"report": "."}, "adopt: report"),
+        ({"report": ".."}, "adopt: report"),
+        ({"report": "link"}, "there is no report"),
+        ({"report": 5}, "adopt: report"),
+        ({}, "there is no report None"),
+        ({"report": "2026-07-01_0300", "how": "sideways"}, "'sideways' is none of shadow, activate"),
+        ({"report": "2026-07-01_0300", "key": "/root/key"}, "unknown key 'key'"),
+        ({"job": 7}, "job: 7 is forgotten"),
+    ],
+)
+def test_an_order_that_names_no_report_is_refused(tmp_path, report, values, reason):
+    (report.parent / "link").symlink_to(report)
+    with Night(tmp_path) as night:
+        answer = night.diagnosis.answer({"do": "adopt", **values})
+    assert (answer["ok"], reason in answer["error"]) == (False, True), answer
+    assert night.calls == []
+
+
+def test_an_order_waits_for_no_diagnosis(tmp_path, report):
+    with Night(tmp_path, "time.sleep(60)") as night:
+        night.strike_three()
+        wait_for(lambda: night.calls)
+        answer = night.diagnosis.answer({"do": "adopt", "report": report.name})
+    assert "a diagnosis or an adoption is under way" in answer["error"]
+
+
 def test_without_a_twin_nothing_is_called(tmp_path):
     with Night(tmp_path, twin=None) as night:
         night.strike_three()
