@@ -62,6 +62,7 @@ def places(config: Path, settings: Settings) -> dict[str, Path]:
         "twin.yaml": config.parent / "twin.yaml",
         f"twin.yaml{BEFORE}": config.parent / f"twin.yaml{BEFORE}",
         "credentials": config.parent / "credentials",
+        "page-credentials": config.parent / "page-credentials",
         "keys": Path(bundle.trusted_keys),
         "signing.key": Path(bundle.signing_key) if bundle.signing_key else None,
         "bundles": Path(bundle.path) if bundle.path else None,

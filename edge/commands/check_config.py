@@ -17,6 +17,7 @@ from pathlib import Path
 from edge.app.active_models import configured_model
 from edge.app.box import bounds_of
 from edge.config import loading as config
+from edge.config.alarm_settings import AlarmSettings
 from edge.config.secrets import read_secret
 from edge.config.settings import BundleSettings, ControlSocketSettings, MqttSettings, Settings
 from edge.core.errors import ConfigError, DataError, GreenhouseError
@@ -57,6 +58,7 @@ def problems(settings: Settings) -> Iterator[ConfigProblem]:
         yield from _mqtt(settings.mqtt)
     if settings.llm.url:
         yield from _llm(settings)
+    yield from _alarms(settings.alarms)
 
 
 def _problems_of(check: Callable[[], object]) -> Iterator[ConfigProblem]:
@@ -170,6 +172,14 @@ def _llm(settings: Settings) -> Iterator[ConfigProblem]:
 
     yield from _secret(settings.llm.key_file, "llm.key_file")
     yield from _problems_of(lambda: open_line(settings.llm))
+
+
+def _alarms(alarms: AlarmSettings) -> Iterator[ConfigProblem]:
+    for key, name in alarms.secret_files():
+        yield from _secret(name, key)
+    for section in ("ntfy", "mail", "webhook", "life_sign"):
+        if path := getattr(alarms, section).ca:
+            yield from _readable(f"alarms.{section}.ca", path)
 
 
 def _readable(key: str, path: str) -> Iterator[ConfigProblem]:

@@ -321,6 +321,7 @@ def test_install_puts_everything_in_its_place(installed: Path) -> None:
     assert stat.S_IMODE((installed / "var/lib/greenhouse-page").stat().st_mode) == 0o700
     assert stat.S_IMODE((installed / "etc/greenhouse/edge.yaml").stat().st_mode) == 0o640
     assert stat.S_IMODE((installed / "etc/greenhouse/credentials").stat().st_mode) == 0o700
+    assert stat.S_IMODE((installed / "etc/greenhouse/page-credentials").stat().st_mode) == 0o700
     assert stat.S_IMODE((installed / "etc/greenhouse/keys").stat().st_mode) == 0o750
 
 

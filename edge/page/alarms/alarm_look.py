@@ -6,7 +6,7 @@ from typing import Any
 
 from edge.page.alarms.alarm_book import AlarmBook
 from edge.page.alarms.alarm_events import HistoryEvent
-from edge.page.alarms.rig_watch import OVER, TRIPS, Finding, cause_of, has_end, is_seen
+from edge.page.alarms.rig_watch import OVER, STOP, STOP_TEXT, TRIPS, Finding, cause_of, has_end, is_seen
 
 RESTART_S = 180.0  # after which a new daemon has said again what still holds
 
@@ -41,7 +41,8 @@ def _enter_event(book: AlarmBook, event: HistoryEvent, utc: float) -> None:
     event_utc = utc if event.utc is None else event.utc
     if event.is_alarm:
         cause = cause_of(event.key, event.text)
-        book.begin(cause, event.text, event_utc, event.place, has_end(cause))
+        text = STOP_TEXT if cause == STOP else event.text  # the history says no more than "emergency_stop"
+        book.begin(cause, text, event_utc, event.place, has_end(cause))
     elif event.key.endswith(OVER) and not is_seen(cause := event.key.removesuffix(OVER)):
         book.end(cause, event_utc)
 

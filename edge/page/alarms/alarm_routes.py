@@ -19,7 +19,7 @@ async def test(page: Page, request: Request, visitor: Visitor) -> Response:
     """Send a test message by one channel, and say how it went."""
     name = text(await document(request), "channel", 40)
     if not page.alarm_tests.take():
-        raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, "too many tests: wait a minute")
+        raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, "too many tests: wait 20 s")
     if reason := await page.alarms.test(name):
         return answer(HTTPStatus.BAD_GATEWAY, ok=False, error=reason)
     return answer(ok=True)

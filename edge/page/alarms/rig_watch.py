@@ -18,6 +18,7 @@ DAEMON, TICKS, BOARD, STOP, BOARD_TRIP = (
     "emergency_stop",
     "board.tripped",
 )
+STOP_TEXT = "the emergency stop is pressed: everything is off until it is released"
 AIR, TRIPS = "reading.not_good", "safety."
 HOLD_S = 10.0  # of what may be over by itself at the next look
 STEPS_MAX = 3.0  # without a tick: the daemon's own watchdog restarts it after 2.5
@@ -87,8 +88,8 @@ class RigWatch:
             return Finding(DAEMON, False)
         silent_s = now_s - self.begun_s if view["silent_s"] is None else view["silent_s"]
         text = (
-            f"the daemon has not answered for {silent_s:.0f} s ({plain(view['error'])}); the board turns "
-            f"everything off by itself {view['lease_s']:g} s after the daemon's last word"
+            f"the daemon has not answered for {silent_s:.0f} s; the board turns everything off by itself "
+            f"{view['lease_s']:g} s after the daemon's last word ({plain(view['error'])})"
         )
         return Finding(DAEMON, True if silent_s > self.silent_s else None, text)
 
@@ -112,11 +113,10 @@ def _stop(view: Mapping[str, Any], status: Mapping[str, Any] | None) -> Finding:
     if waits := view["stop_waits"]:
         text = f"a stop by {plain(str(waits['by']))} waits for the daemon, which does not answer"
         return Finding(STOP, True, text)
-    text = "the emergency stop is pressed: everything is off until it is released"
     if status is None:
-        return Finding(STOP, None, text)
+        return Finding(STOP, None)
     by_board = (status["echo"] or {}).get("trip_cause") == STOP
-    return Finding(STOP, by_board or bool(status["operation"]["emergency_stop"]), text)
+    return Finding(STOP, by_board or bool(status["operation"]["emergency_stop"]), STOP_TEXT)
 
 
 def _board(status: Mapping[str, Any]) -> Iterator[Finding]:

@@ -2,6 +2,7 @@
 
 import { html, render, useEffect, useErrorBoundary, useMemo, useState } from "./vendor/preact-htm.js";
 import { call, follow } from "./api.js";
+import { Alarms } from "./alarms.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
 import { Profile } from "./profile.js";
 import { Access, Ask, Controls, Events, Health, Models, Now, Stop, Why, troubles } from "./parts.js";
@@ -82,6 +83,7 @@ function Rig({ me }) {
       <${Part}><${Events} me=${me} news=${seq} /><//>
       <${Part}><${Models} view=${view} /><//>
       <${Part}><${Health} view=${view} /><//>
+      <${Part}><${Alarms} me=${me} news=${seq} /><//>
       <${Part}><${Access} me=${me} /><//>
     </main>
     <${Stop} view=${view} me=${me} done=${done} />`;

@@ -18,6 +18,7 @@ from edge.core.errors import DataError, RequestError
 
 FILES = {
     "etc/credentials/secret_mqtt": "hunter2",
+    "etc/page-credentials/mail": "hunter3",
     "etc/keys/mine.pub": "key",
     "etc/twin.yaml": "learned",
     "etc/twin.yaml.before": "described",
@@ -84,7 +85,7 @@ def test_everything_comes_back(rig, tmp_path):
     restored = list(restore(out, rig, replaces=False))
     assert contents(root) == before and rows(root / "var/history.db") == ticks
     assert (root / "etc/credentials/secret_mqtt").stat().st_mode & 0o777 == 0o600
-    assert len(restored) == 10
+    assert len(restored) == 11
     assert not [path for path in tmp_path.rglob(".*")]
 
 

@@ -31,6 +31,8 @@ ERRORS = {
     "mqtt.client_key: /none/key: No such file": MQTT + "client_cert: {folder}/text, client_key: /none/key}}",
     "llm.key_file: /none/key: No such file": "llm: {{url: http://localhost, model: m, key_file: /none/key}}",
     "llm.ca: /none/ca.pem: No such file": "llm: {{url: https://localhost, model: m, ca: /none/ca.pem}}",
+    "alarms.ntfy.token_file: /none/k: No such": "alarms: {{ntfy: {{url: http://x/t, token_file: /none/k}}}}",
+    "alarms.mail.ca: /none/ca.pem: No such file": "alarms: {{mail: {{ca: /none/ca.pem}}}}",
     "bundle.path: {folder}/text: is not a folder": "bundle: {{path: {folder}/text}}",
     "bundle.trusted_keys: {folder}/text: is not a folder": "bundle: {{trusted_keys: {folder}/text}}",
     "bundle.signing_key: /none/key: No such file": "bundle: {{signing_key: /none/key}}",
