@@ -24,6 +24,7 @@ from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import FROM_S, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
+from edge.twin.draws import CORRELATION
 from edge.twin.effects.plausible import implausible, odd, with_usual_fan
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
@@ -37,6 +38,7 @@ TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
 # cost 0.4 and 0.8 times those of the paper's MPC (docs/measured/control.md).
 ERROR_MAX_K, ERROR_MAX_SHARE = 2.0, 0.15
 BETTER, FAR_BETTER = 0.8, 0.5  # shares of the twin's error: a simple model is told, or taken in its place
+BY_SEARCH = ("added", "after", CORRELATION)  # of a provenance; not true of a baseline
 SEEN_MIN_K = 2.0  # that the air must have risen
 LONGEST_MIN = 1440.0  # of tests that it proposes
 HELD_OUT_MIN = 20.0  # of a stretch whose newest rows no fit sees; a shorter one is only fitted
@@ -157,9 +159,9 @@ def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFil
     share = BETTER if error_k > limit_k else FAR_BETTER
     if not best or not simple[best] < share * error_k:
         return found.adopted, error_k
-    origin = {key: value for key, value in found.adopted.provenance.items() if key not in ("added", "after")}
-    after = {"test": {"rmse_k": round_value(simple[best])}}
-    return replace(twins[best], provenance={**origin, "added": {}, "after": after}), simple[best]
+    origin = {key: value for key, value in found.adopted.provenance.items() if key not in BY_SEARCH}
+    own = {"added": {}, "after": {"test": {"rmse_k": round_value(simple[best])}}}
+    return replace(twins[best], provenance={**origin, **twins[best].provenance, **own}), simple[best]
 
 
 def better_model(found: Diagnosis, error_k: float) -> tuple[str, float] | None:

@@ -59,11 +59,11 @@ def twin_after(
     """
     for effect in added:
         check_names(effect.name, effect.parameters)
-    changed = {place: _plain(value) for place, value in (refitted or {}).items()}
+    changed = {place: plain_value(value) for place, value in (refitted or {}).items()}
     effects = {name: dict(own) for name, own in file.effects.items()}
     for effect in added:
         effects[effect.name] = {
-            item.name: _plain(effect.parameters[item.name]) for item in EFFECTS[effect.name].parameters
+            item.name: plain_value(effect.parameters[item.name]) for item in EFFECTS[effect.name].parameters
         }
     result = replace(file, effects=effects, provenance=_provenance(file, added, origin)).with_values(changed)
     result.twin()  # values that no twin can have are refused here, not on the rig
@@ -74,7 +74,7 @@ def _provenance(file: TwinFile, added: Sequence[AddedEffect], origin: Origin) ->
     return {
         "added": {
             effect.name: {
-                **{name: _plain(value).document() for name, value in effect.parameters.items()},
+                **{name: plain_value(value).document() for name, value in effect.parameters.items()},
                 "alternatives": list(effect.alternatives),
                 "log_odds": None if effect.log_odds is None else round_value(effect.log_odds),
             }
@@ -91,7 +91,7 @@ def _provenance(file: TwinFile, added: Sequence[AddedEffect], origin: Origin) ->
     }
 
 
-def _plain(value: Value) -> Value:
+def plain_value(value: Value) -> Value:
     """Numbers that YAML knows, of a length that a person reads; inside their interval still."""
     low, high = (None if bound is None else round_value(bound) for bound in (value.low, value.high))
     middle = round_value(value.value)

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.adopted_twin import AddedEffect, Origin, round_value, twin_after
+from edge.diagnosis.adopted_twin import AddedEffect, Origin, plain_value, round_value, twin_after
 from edge.diagnosis.baselines import ONE_MASS, arx_errors
 from edge.diagnosis.diagnosis_document import GapErrors
 from edge.diagnosis.formulas import formulas
@@ -21,7 +21,9 @@ from edge.diagnosis.progress import Progress, Stage
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.diagnosis.search import Search
 from edge.diagnosis.side_by_side import SideBySide
+from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.verdict import DiagnosisVerdict, interval, intervals, verdict
+from edge.twin.draws import CORRELATION, correlation_document
 from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
@@ -77,13 +79,17 @@ class Diagnosis:
 
     @property
     def simple_twins(self) -> dict[str, TwinFile]:
-        """The fitted baselines that are twins, by name; values without intervals."""
-        fitted = {name: item.fit.file for name, item in self.judgement.comparison.simple.items()}
+        """The fitted baselines that are twins, by name; of their provenance the correlations alone."""
+        fitted = {name: item.fit for name, item in self.judgement.comparison.simple.items()}
         return {
-            name: file.with_values(
-                {place: Value(round_value(value.value)) for place, value in file.values().items()}
+            name: replace(
+                item.file.with_values(
+                    {place: Value(round_value(value.value)) for place, value in item.file.values().items()}
+                    | {place: plain_value(value) for place, value in _free_values(item).items()}
+                ),
+                provenance=_correlation(item),
             )
-            for name, file in fitted.items()
+            for name, item in fitted.items()
         }
 
 
@@ -143,6 +149,7 @@ def _diagnosis(
         {"train": _round_errors(errors(after.train)), "test": _round_errors(errors(after.test))},
         datetime.now(UTC).isoformat(timespec="seconds"),
         command,
+        {"validity": _validity(known)},
     )
     test_k = _test_k(result, prepared, data, before, after)
     return Diagnosis(
@@ -162,6 +169,17 @@ def _diagnosis(
         tuple(_one_step(after, *pair, known) for pair in zip(data.test, after.test, strict=True)),
         time.monotonic() - begun,
     )
+
+
+def _validity(known: PreparedRuns) -> dict[str, object]:
+    """Return the range of what the twin was fitted to, and the length of the longest run."""
+    runs = known.runs
+    rows = int(np.isfinite(runs.temp).sum(axis=1).max())
+    return {
+        "temp_air_c": [np.nanmin(runs.temp), np.nanmax(runs.temp)],
+        "temp_ambient_c": [np.nanmin(runs.ambient), np.nanmax(runs.ambient)],
+        "hours": rows * known.file.sample_s / 3600.0,
+    }
 
 
 def _steps(
@@ -265,18 +283,30 @@ def _adopt(file: TwinFile, result: DiagnosisJudgement, origin: Origin) -> TwinFi
     fitted, names = result.handover.fit, result.handover.added - {OPEN}
     gone = _replaced_names(names)
     kept = replace(file, effects={name: own for name, own in file.effects.items() if name not in gone})
-    refitted: dict[Place, Value] = {}
-    for i, unknown in enumerate(fitted.free):
-        if unknown.place in kept.values():
-            refitted[unknown.place] = interval(
-                unknown, float(fitted.coordinates[i]), float(fitted.covariance[i, i])
-            )
+    there = kept.values()
+    refitted = {place: value for place, value in _free_values(fitted).items() if place in there}
     added = [
         AddedEffect(effect.name, effect.parameters, tuple(effect.alternatives), effect.log_odds)
         for effect in result.verdict.effects
     ]
     added += [AddedEffect(name, intervals(fitted, name)[0]) for name in result.provisional]
+    origin = replace(origin, further={**origin.further, **_correlation(fitted)})
     return twin_after(kept, added, origin, refitted)
+
+
+def _free_values(fitted: FittedTwin) -> dict[Place, Value]:
+    """Return what a fit has moved, with 95 % intervals."""
+    return {
+        unknown.place: interval(unknown, float(x), float(variance))
+        for unknown, x, variance in zip(
+            fitted.free, fitted.coordinates, np.diag(fitted.covariance), strict=False
+        )
+    }
+
+
+def _correlation(fitted: FittedTwin) -> dict[str, object]:
+    places = [unknown.place for unknown in fitted.free]
+    return {CORRELATION: correlation_document(places, fitted.covariance)} if places else {}
 
 
 def _round_errors(found: GapErrors | None) -> dict[str, object] | None:

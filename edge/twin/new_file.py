@@ -91,8 +91,12 @@ def loss_w_k(box: BoxDescription) -> float | None:
     """Through the walls by area, thickness and material, ISO 6946: UA = A / (0.26 + d / lambda)."""
     if box.wall is None or box.wall_area_m2 is None:
         return None
-    material, thickness_m = box.wall
-    return box.wall_area_m2 / (FILM_M2_K_W + thickness_m / CONDUCTIVITY_W_M_K[material])
+    return box.wall_area_m2 / resistance_m2_k_w(*box.wall)
+
+
+def resistance_m2_k_w(material: str, thickness_m: float) -> float:
+    """Return the resistance of a wall with the films on both faces, ISO 6946 [m2 K/W]."""
+    return FILM_M2_K_W + thickness_m / CONDUCTIVITY_W_M_K[material]
 
 
 def text(box: BoxDescription) -> str:

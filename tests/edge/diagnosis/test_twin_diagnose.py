@@ -178,6 +178,14 @@ def test_the_new_twin_is_one_that_predicts(named: CommandOutput) -> None:
     assert origin["data_sha256"] == data_sha256(recordings(LAG)) == named.document["data_sha256"]
     assert origin["after"]["train"]["rmse_k"] < 0.2 * origin["before"]["train"]["rmse_k"]
     assert "heater_lag" in origin["added"]
+    air = [run.columns["temp_air_c"] for run in recordings(LAG)]
+    assert origin["validity"]["temp_air_c"] == pytest.approx([np.min(air), np.max(air)], abs=0.05)
+    assert origin["validity"]["hours"] == pytest.approx(ROWS / 60.0, abs=0.05)
+    names = [f"effects.{name}.{key}" for name, own in file.effects.items() for key in own]
+    together = origin["correlation"]
+    assert set(together["values"]) & set(names)
+    assert "effects.heater_lag.tau_h" in together["values"]
+    assert [row[-1] for row in together["rows"]] == [1.0] * len(together["values"])
     pbm = read_twin(named.folder / "twin.yaml")
     history = {key: np.full(3, 22.0) for key in ("temp_air", "temp_ambient")} | {
         key: np.zeros(3) for key in ("heater_duty", "fan_on")
