@@ -17,6 +17,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "setup": "make a box of your own known: board, outputs, size, files",
     "check-config": "check a configuration file before the daemon starts with it",
     "page": "serve the web page of a rig, and say who may open it",
+    "what-if": "another heater, tighter walls: reach, energy, warm-up",
     "watch": "print each tick of the running daemon",
     "why": "explain a command from the recorded decisions",
     "plot": "draw a stretch of the history, or a run file",
@@ -40,7 +41,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
 MESSAGE_MAX = 1500  # characters of an error
 GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
     "Start here": ("demo", "setup", "check-config", "run"),
-    "See what it does": ("page", "status", "watch", "why", "plot"),
+    "See what it does": ("page", "status", "watch", "why", "what-if", "plot"),
     "Tell it what to do": (
         "reference",
         "profile",

@@ -62,6 +62,12 @@ def test_every_command_stands_once_in_the_help_and_fits_80_columns() -> None:
         "twin diagnose --twin t --out o --since 1d --test-share X",
         "twin benchmark --per-kind X",
         "twin benchmark --workers X",
+        "what-if --heater-w X",
+        "what-if --wall-factor X",
+        "what-if --walls-mm X",
+        "what-if --fan X",
+        "what-if --reach X",
+        "what-if --room X",
     ],
 )
 def test_a_number_that_makes_no_sense_is_refused_by_its_option(
