@@ -48,6 +48,7 @@ BENCHES = {
     "board_fuzz": Bench(("--bytes", "3e6")),
     "boxes": Bench(("--boxes", "9", "--rows", "PID", "MPC-Twin-P")),
     "house": Bench(()),
+    "what_if": Bench(("--seeds", "1", "--boxes")),
     "unchanged": Bench(("--only", "golden vectors"), keeps_its_table=True),
 }  # fmt: skip
 

@@ -1,0 +1,254 @@
+"""python -m bench.what_if: the twin's answers to *what if* beside boxes that really have the other heater.
+
+Each box is commissioned by step tests of two hours. Its twin is asked for now, for half as much heater again
+and for walls of twice the thickness; in the virtual board's chamber also for half the fan. Then the box gets
+what was asked for. Neither the chamber nor the boxes of `bench.boxes` share code with the twin. A row tells
+the interval, the truth, and whether it holds.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import brentq
+
+from bench.boxes.__main__ import commission, rig_settings
+from bench.boxes.draw import LOTS, draw_box
+from bench.boxes.facts import MATERIALS, BoxFacts
+from bench.boxes.physics import BoxPhysics
+from bench.boxes.reach import Still
+from bench.header import header
+from edge.app.commission import learn
+from edge.app.step_test_record import record, test_settings
+from edge.app.what_if import Outlook, Quantity, TwinChange, WhatIf, outlooks
+from edge.config.settings import ControlSettings
+from edge.core.errors import GreenhouseError, RequestError
+from edge.twin.new_file import FILM_M2_K_W, BoxDescription, text
+from edge.twin.twin_file import TwinFile, read_twin_file
+from firmware_protocol.virtual_board.chamber import Chamber
+from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, load
+from firmware_protocol.virtual_board.effects import Effects
+from training.lab import InProcessBoard
+
+TIMES = 1.5  # the present heater
+TARGET_SHARE = 0.6  # of the rise at full heat, for boxes that reach other temperatures
+SHEETS_U = (3.3, 2.4)  # twin-wall polycarbonate of 8 and 16 mm, makers' figures [W/m2K]
+STANDARD_FILMS = 0.17  # that these figures include [m2 K/W]
+CHAMBER_TARGET_C = 35.0
+CHAMBER_W, CHAMBER_FAN_M3_H, CHAMBER_M3 = 100.0, 68.0, 0.15
+MINUTES, DAY_S = 120.0, 86_400.0
+CLOSE = 1e-3  # of the heater's power, where a search for it ends
+QUIET = {
+    name: 0.0
+    for name in (
+        "ambient_diurnal",
+        "ambient_wander",
+        "power_run_variation",
+        "power_wander",
+        "sensor_noise",
+        "sensor_step",
+    )
+}
+KEYS = ("reach_c", "warm_up_min", "power_w", "cooling_min")
+
+
+@dataclass(frozen=True, slots=True)
+class TrueOutlook:
+    """The behaviour of a box, by the keys of an outlook; NaN where it was not tried."""
+
+    reach_c: float
+    warm_up_min: float
+    power_w: float
+    cooling_min: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class BoxAnswers:
+    """Lines to print, and whether each interval held, by key."""
+
+    lines: list[str]
+    held: list[tuple[str, bool]]
+
+
+def chamber_answers(seed: int) -> BoxAnswers:
+    """Commission the chamber and compare."""
+    parameters, effects = load()
+    twin = _chamber_twin(seed)
+    factor = SHEETS_U[1] / SHEETS_U[0]
+    resistance = 1.0 / SHEETS_U[1] - STANDARD_FILMS
+    gap = replace(parameters.cover, gap_w_m2_k=1.0 / resistance)
+    heater = replace(parameters.heater, power_w=TIMES * parameters.heater.power_w)
+    fan = replace(parameters.fan, flow_m3_s=0.5 * parameters.fan.flow_m3_s)
+    cases = {
+        "now": (TwinChange(), parameters),
+        f"heater x {TIMES:g}": (TwinChange(heater_w=TIMES * CHAMBER_W), replace(parameters, heater=heater)),
+        f"walls x {factor:.2f}": (TwinChange(wall_factor=factor), replace(parameters, cover=gap)),
+        "fan x 0.5": (TwinChange(fan=0.5), replace(parameters, fan=fan)),
+    }
+    room_c = _room_shown(parameters, effects)
+    held: list[tuple[str, bool]] = []
+    lines = [f"chamber, seed {seed}: {', '.join(twin.effects)}; target {CHAMBER_TARGET_C:g} °C"]
+    for name, (change, other) in cases.items():
+        truth = _chamber_truth(other, replace(effects, **QUIET))
+        told = _outlook_of(twin, change, CHAMBER_TARGET_C, room_c)
+        keys = KEYS if change.fan is None else KEYS[-1:]
+        lines += _compare(name, told, truth, keys, held)
+    return BoxAnswers(lines, held)
+
+
+def box_answers(number: int) -> BoxAnswers:
+    """Commission a box of `bench.boxes` and compare."""
+    facts = draw_box(number)
+    try:
+        found = commission(facts, number, MINUTES)
+    except GreenhouseError as error:
+        return BoxAnswers([f"box {number}, {facts.kind}: not commissioned: {error}"], [])
+    if found.refusals:
+        return BoxAnswers([f"box {number}, {facts.kind}: refused: {found.refusals[0]}"], [])
+    sensor = facts.room_sensor
+    room_c = ControlSettings().ambient_default_c if sensor is None else facts.room.mean_c + sensor.bias
+    full_c = _reading(facts, 1.0)
+    target_c = room_c + TARGET_SHARE * (full_c - room_c)
+    held: list[tuple[str, bool]] = []
+    lines = [f"box {number}, {facts.kind}: {', '.join(found.twin.effects)}; target {target_c:.1f} °C"]
+    resistance = sum(layer.thickness_m / MATERIALS[layer.material].conductivity_w_m_k for layer in facts.wall)
+    factor = (FILM_M2_K_W + resistance) / (FILM_M2_K_W + 2.0 * resistance)
+    thicker = tuple(replace(layer, thickness_m=2.0 * layer.thickness_m) for layer in facts.wall)
+    heater_w = TIMES * facts.heater_w
+    cases = {
+        "now": (TwinChange(), facts),
+        f"heater x {TIMES:g}": (TwinChange(heater_w=heater_w), replace(facts, heater_w=heater_w)),
+        f"walls x {factor:.2f}": (TwinChange(wall_factor=factor), replace(facts, wall=thicker)),
+    }
+    for name, (change, other) in cases.items():
+        truth = _box_truth(other, target_c)
+        try:
+            told = _outlook_of(found.twin, change, target_c, room_c)
+        except RequestError as error:
+            lines.append(f"    {name}: {error}")
+            continue
+        lines += _compare(name, told, truth, KEYS[:3], held)
+    return BoxAnswers(lines, held)
+
+
+def _outlook_of(twin: TwinFile, change: TwinChange, target_c: float, room_c: float) -> Outlook:
+    now, changed = outlooks(twin, WhatIf(change, target_c, room_c, room_c, target_c, 0.0), 1.0)
+    return changed or now
+
+
+def _compare(
+    name: str, told: Outlook, truth: TrueOutlook, keys: Sequence[str], held: list[tuple[str, bool]]
+) -> Iterator[str]:
+    for key in keys:
+        said, true = getattr(told, key), getattr(truth, key)
+        assert isinstance(said, Quantity)
+        holds = said.low <= true <= said.high
+        held.append((f"{name.split()[0]}, {key}", holds))
+        yield (
+            f"    {name:<14}{key:<13}{said.low:8.1f} to {said.high:6.1f}, median {said.value:6.1f}; "
+            f"true {true:6.1f}{'' if holds else '  outside'}"
+        )
+
+
+def _chamber_twin(seed: int) -> TwinFile:
+    with tempfile.TemporaryDirectory(prefix="what-if-") as temporary:
+        folder = Path(temporary)
+        described = folder / "described.yaml"
+        described.write_text(text(BoxDescription(CHAMBER_M3, CHAMBER_W, "exhaust", CHAMBER_FAN_M3_H)))
+        start, board = read_twin_file(described), InProcessBoard(seed)
+        settings = test_settings(rig_settings(folder, start))
+        run = record(settings, board, True, MINUTES, open_port=board.open)
+    return learn(run, start, ControlSettings(), lambda text, share: None).twin
+
+
+@lru_cache  # quiet chambers of all seeds are the same
+def _chamber_truth(parameters: ChamberParameters, effects: Effects) -> TrueOutlook:
+    def after_a_day(share: float) -> Chamber:
+        chamber = Chamber(parameters, effects, 1)
+        chamber.step(DAY_S, share, False, 0.0, False)
+        return chamber
+
+    warm_up_s = _until(Chamber(parameters, effects, 1), 1.0, False, CHAMBER_TARGET_C, 1.0)
+    share = _share_to_hold(lambda share: after_a_day(share).sense()["temp_air_c"], CHAMBER_TARGET_C)
+    warm = after_a_day(share)
+    begin_c, room_c = (warm.sense()[key] for key in ("temp_air_c", "temp_ambient_c"))
+    cooling_s = _until(warm, 0.0, True, 0.5 * (begin_c + room_c), -1.0)
+    return TrueOutlook(
+        after_a_day(1.0).sense()["temp_air_c"],
+        warm_up_s / 60.0,
+        share * parameters.heater.power_w,
+        cooling_s / 60.0,
+    )
+
+
+def _share_to_hold(air_c: Callable[[float], float], target_c: float) -> float:
+    """Return the share of full heat at which the air ends at the target."""
+    return float(brentq(lambda share: air_c(share) - target_c, 0.0, 1.0, xtol=CLOSE))
+
+
+def _until(chamber: Chamber, heater: float, fan: bool, target_c: float, sign: float) -> float:
+    """Return the time until the sensor shows a temperature, infinite where not in a day [s]."""
+    begin_s = chamber.truth()["time_s"]
+    while sign * chamber.sense()["temp_air_c"] < sign * target_c:
+        chamber.step(1.0, heater, fan, 0.0, False)
+        if chamber.truth()["time_s"] - begin_s > DAY_S:
+            return float("inf")
+    return chamber.truth()["time_s"] - begin_s
+
+
+def _room_shown(parameters: ChamberParameters, effects: Effects) -> float:
+    return Chamber(parameters, replace(effects, **QUIET), 1).sense()["temp_ambient_c"]
+
+
+def _box_truth(facts: BoxFacts, target_c: float) -> TrueOutlook:
+    physics = BoxPhysics(facts, Still(facts.room.mean_c))
+    times, states = physics.warm_up(facts.room.mean_c, 1.0)
+    air = physics.reading_c(states)
+    after = np.argmax(air >= target_c)
+    return TrueOutlook(
+        float(air[-1]),
+        float(np.interp(target_c, air[: after + 1], times[: after + 1])) / 60.0,
+        _share_to_hold(partial(_reading, facts), target_c) * facts.heater_w,
+    )
+
+
+def _reading(facts: BoxFacts, share: float) -> float:
+    physics = BoxPhysics(facts, Still(facts.room.mean_c))
+    return float(physics.reading_c(physics.rest(facts.room.mean_c, share))[0])
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Print the rows, and how many intervals held."""
+    parser = argparse.ArgumentParser(prog="python -m bench.what_if", description=__doc__)
+    parser.add_argument(
+        "--seeds", type=int, nargs="*", default=(1, 2, 3), help="of the chamber; default: 1 2 3"
+    )
+    parser.add_argument(
+        "--boxes", type=int, nargs="*", default=LOTS[0], help="of bench.boxes.draw; default: 1 to 15"
+    )
+    parser.add_argument("--jobs", type=int, default=2, help="processes; default: 2")
+    given = parser.parse_args(words)
+    print("\n".join(header()), flush=True)
+    held: dict[str, dict[str, list[bool]]] = {}
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for kind, call, numbers in (
+            ("chamber", chamber_answers, given.seeds),
+            ("boxes", box_answers, given.boxes),
+        ):
+            for found in pool.map(call, numbers):
+                print("\n".join(found.lines), flush=True)
+                for key, is_inside in found.held:
+                    held.setdefault(kind, {}).setdefault(key, []).append(is_inside)
+    for kind, by_key in held.items():
+        for key, holds in by_key.items():
+            print(f"{kind}: {key}: {sum(holds)} of {len(holds)} intervals of 90 % hold")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
