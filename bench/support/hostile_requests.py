@@ -234,7 +234,6 @@ def _paths(victim: Victim) -> Iterator[HostileRequest]:
             "/proc/self/environ",
         ),
         *("/api", "/api/", "/api/../api/sessions/..", "/API/ME", "/api/me/", "/api//me", "/api/sessions/-1"),
-        *("/api/sessions/9e9", "/api/sessions/1/..", "/openapi.json", "/docs", "/metrics", f"/{'a/' * 3000}"),
     ):
         data = victim.request("GET", path, None, victim.admin)
         yield HostileRequest("path", data, frozenset({307, 400, 404, 405}))

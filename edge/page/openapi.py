@@ -110,7 +110,7 @@ def _order(kind: str) -> Json:
         keys, required = OF_THE_DESK[kind], list(OF_THE_DESK[kind])
     else:
         document = BundleRequest if kind == "bundle" else ORDERS[kind].keys
-        keys, required = _properties(document), _required(document)
+        keys, required = _properties(document), _keys_without_default(document)
     found = _object({"do": {"const": kind}, **keys})
     return {**found, "required": ["do", *required], "description": f"Needs the role {NEEDS[kind].word}."}
 
@@ -119,7 +119,7 @@ def _object(properties: Json) -> Json:
     return {"type": "object", "properties": properties}
 
 
-def _required(kind: Any) -> list[str]:
+def _keys_without_default(kind: Any) -> list[str]:
     return [str(item.metadata.get("key", item.name)) for item in fields(kind) if item.default is MISSING]
 
 
@@ -140,7 +140,7 @@ def _schema(kind: Any) -> Json:
     if isinstance(kind, type) and issubclass(kind, Enum):
         return {"enum": [each.value for each in kind]}
     if isinstance(kind, type) and issubclass(kind, CheckedDocument):
-        return {**_object(_properties(kind)), "required": _required(kind)}
+        return {**_object(_properties(kind)), "required": _keys_without_default(kind)}
     return {float: NUMBER, str: TEXT, bool: {"type": "boolean"}}.get(kind, {"type": "object"})
 
 
