@@ -305,7 +305,7 @@ def _no_orders(victim: Victim) -> Iterator[HostileRequest]:
         *({"do": "set_mode", "mode": value} for value in no_modes),
         *({}, {"mode": "off"}, {"do": "set_mode"}),
         {"do": "bundle", "action": "install", "path": "/etc/shadow"},
-        {"do": "bundle", "action": "activate", "version": "../../etc"},
+        {"do": "bundle", "action": "../../etc"},
     )
     for order in orders:
         data = victim.change("POST", "/api/order", order, victim.admin)
