@@ -13,7 +13,7 @@ from edge.page.server import serve
 def main(file: str) -> int:
     """Serve until SIGTERM or SIGINT."""
     try:
-        serve(config.load(file) if file else config.default())
+        serve(config.load(file) if file else config.default(), file)
     except ConfigError as error:
         print(f"greenhouse page: {error}", file=sys.stderr)
         return 2

@@ -23,6 +23,7 @@ from edge.page.alarms.alarm_desk import AlarmDesk
 from edge.page.answers import NotAllowed, answer
 from edge.page.guard import Guard, own_names
 from edge.page.page_state import Page
+from edge.page.questions import TwinQuestions
 from edge.page.rig_link import RigLink
 from edge.sockets.stop_file import StopFile
 
@@ -40,6 +41,7 @@ API: tuple[tuple[str, str, Role | None, Handler], ...] = (
     ("GET", "/api/course", Role.VIEW, rig_routes.course),
     ("GET", "/api/span", Role.VIEW, rig_routes.span),
     ("GET", "/api/why", Role.VIEW, rig_routes.why),
+    ("GET", "/api/what-if", Role.VIEW, rig_routes.what_if),
     ("GET", "/api/events", Role.VIEW, rig_routes.events),
     ("GET", "/api/export", Role.VIEW, export.export),
     ("POST", "/api/events/acknowledge", Role.OPERATE, rig_routes.acknowledge),
@@ -54,11 +56,11 @@ API: tuple[tuple[str, str, Role | None, Handler], ...] = (
 )
 
 
-def make_app(settings: Settings) -> Guard:
-    """Return the application of a rig."""
+def make_app(settings: Settings, file: str = "") -> Guard:
+    """Return the application of a rig. file : of the settings, "" for every default"""
     rig = RigLink(Path(settings.control_socket.path), StopFile(settings.stop_folder))
     access = Access.of(settings.page.folder)
-    page = Page(settings, access, rig, AlarmDesk(settings, access, rig))
+    page = Page(settings, access, rig, AlarmDesk(settings, access, rig), TwinQuestions(file))
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:

@@ -33,6 +33,7 @@ def page_of(settings: Settings, folder: Path, rig: str) -> Iterator[str]:
         "state_file": settings.state_file,
         "control_socket": {"path": settings.control_socket.path},
         "history": {"path": settings.history.path},
+        "bundle": {"path": settings.bundle.path},
         "mqtt": {"rig": rig},
         "page": {"host": HOST, "port": port, "folder": str(home)},
     }

@@ -14,6 +14,7 @@ from edge.formats.cross_check import CheckedDocument, Rule
 from edge.page.access import LINK_DAYS_MAX, ROLES
 from edge.page.app import API
 from edge.page.orders import NEEDS
+from edge.page.questions import NEEDED, OPTIONS, WALL, WALL_MAX
 from edge.tick.orders import ORDERS
 
 Json = dict[str, Any]
@@ -26,6 +27,10 @@ PARAMETERS: dict[str, dict[str, tuple[Json, bool]]] = {
     "/api/course": {"from_utc": (UTC, False), "to_utc": (UTC, False), "points": (WHOLE, True)},
     "/api/export": {"from_utc": (UTC, False), "to_utc": (UTC, False)},
     "/api/why": {"at_utc": (UTC, False)},
+    "/api/what-if": {
+        **{name: (NUMBER, name not in NEEDED) for name in OPTIONS},
+        WALL: ({"type": "string", "maxLength": WALL_MAX}, True),
+    },
     "/api/events": {"before_utc": (UTC, True), "least": (SEVERITIES, True), "most": (WHOLE, True)},
 }
 # Bodies of POST, by path: name -> schema.

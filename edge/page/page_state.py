@@ -15,6 +15,7 @@ from edge.core.event_log import Allowance
 from edge.page.access import Access, Visitor
 from edge.page.alarms.alarm_desk import AlarmDesk
 from edge.page.answers import NotAllowed, in_thread
+from edge.page.questions import TwinQuestions
 from edge.page.rig_link import RigLink
 
 COOKIE = "greenhouse_session"
@@ -32,6 +33,7 @@ class Page:
     access: Access
     rig: RigLink
     alarms: AlarmDesk
+    questions: TwinQuestions
     alarm_tests: Allowance = field(default_factory=lambda: Allowance(TESTS, 1.0 / TESTS_S, time.monotonic))
     tries: OrderedDict[str, Allowance] = field(default_factory=OrderedDict)
     all_tries: Allowance = field(

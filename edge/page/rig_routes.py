@@ -15,6 +15,7 @@ from edge.page.access import Visitor
 from edge.page.answers import Json, NotAllowed, answer, document, in_thread, number
 from edge.page.orders import NEEDS, problem
 from edge.page.page_state import Page
+from edge.page.questions import options
 
 STREAMS_MAX, STREAMS_OF_ONE = 40, 4
 BEAT_S = 5.0  # between two signs of life on a quiet stream
@@ -71,6 +72,11 @@ async def why(page: Page, request: Request, visitor: Visitor) -> Response:
     """Return the reasons of the command that held at a time."""
     found = await page.rig.ask({"do": "why", "at_utc": number(request.query_params, "at_utc")})
     return _passed_on(found)
+
+
+async def what_if(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return the twin's answer to a question."""
+    return answer(**await page.questions.ask(options(request.query_params)))
 
 
 async def events(page: Page, request: Request, visitor: Visitor) -> Response:

@@ -24,14 +24,17 @@ LARGE_BLOCK = 1 << 20  # bytes
 LOOK_S = 1.0  # between two looks whether the network is allowed
 
 
-def serve(settings: Settings) -> None:
-    """Serve until SIGTERM or SIGINT. Errors: ConfigError where the address is taken or the certificate bad"""
+def serve(settings: Settings, file: str = "") -> None:
+    """Serve until SIGTERM or SIGINT. Errors: ConfigError where the address is taken or the certificate bad
+
+    file : of the settings, "" for every default
+    """
     _give_memory_back()
     limit_connections()
     access = Access.of(settings.page.folder)
     while True:
         opened = bool(settings.page.host) or access.is_open_to_network
-        if asyncio.run(_serve(settings, access, opened)):
+        if asyncio.run(_serve(settings, file, access, opened)):
             return
 
 
@@ -41,9 +44,9 @@ def _give_memory_back() -> None:
         ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE_BLOCK)
 
 
-async def _serve(settings: Settings, access: Access, opened: bool) -> bool:
+async def _serve(settings: Settings, file: str, access: Access, opened: bool) -> bool:
     """Serve until the end, or until the network is allowed; return whether it is the end."""
-    server = uvicorn.Server(_config(settings))
+    server = uvicorn.Server(_config(settings, file))
     with contextlib.ExitStack() as stack:
         sockets = [stack.enter_context(each) for each in _listen(settings, opened)]
         watching = asyncio.create_task(_watch(server, access, opened))
@@ -61,11 +64,11 @@ async def _watch(server: uvicorn.Server, access: Access, opened: bool) -> None:
     server.should_exit = True
 
 
-def _config(settings: Settings) -> uvicorn.Config:
+def _config(settings: Settings, file: str) -> uvicorn.Config:
     page = settings.page
     check_certificate(page)
     return uvicorn.Config(
-        make_app(settings),
+        make_app(settings, file),
         http=ImpatientProtocol,
         loop="asyncio",
         ws="none",

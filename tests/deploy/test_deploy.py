@@ -105,6 +105,49 @@ def test_the_page_has_a_user_of_its_own_in_the_daemons_group() -> None:
     assert values("Group", PAGE) == values("Group")
 
 
+@needs("strace")
+@needs("systemd-analyze")
+def test_the_page_can_ask_the_twin_where_its_unit_refuses_what_it_refuses(tmp_path: Path) -> None:
+    """Every call that the unit does not allow fails as there, with EPERM."""
+    assert values("SystemCallFilter", PAGE) == values("SystemCallFilter")
+    groups = call_groups()
+    refused = resolved(["@privileged", "@resources"], groups)
+    (tmp_path / "edge.yaml").write_text(
+        f"bundle: {{path: {tmp_path}}}\ncontrol_socket: {{path: {tmp_path}/x}}\n"
+    )
+    code = f"""
+import asyncio
+from edge.page.questions import COMMAND, run_command
+words = ("--config", "{tmp_path}/edge.yaml", "--reach=35", "--room=20")
+print(asyncio.run(run_command((*COMMAND, *words)))["verdict"])
+"""
+    inject = ",".join(f"?{name}" for name in sorted(refused))
+    output = tmp_path / "strace.txt"
+    done = subprocess.run(
+        [
+            "strace",
+            "-f",
+            "-qq",
+            "-o",
+            str(output),
+            "-e",
+            f"inject={inject}:error=EPERM",
+            sys.executable,
+            "-c",
+            code,
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.startswith("Yes: 35 °C takes "), done.stderr
+    trace = output.read_text()
+    assert re.search(r"setpriority\(.*EPERM.*INJECTED", trace)
+    calls = set(re.findall(r"^\d+ +([a-z_0-9]+)\(", trace, re.MULTILINE))
+    assert calls - allowed_calls() <= {*DISPENSABLE_CALLS, "setpriority"}
+    assert re.search(r"(mmap\(.*PROT_WRITE\|PROT_EXEC|mprotect\(.*PROT_EXEC)", trace) is None
+
+
 def test_the_default_settings_of_the_page_lie_where_its_unit_allows() -> None:
     settings = Settings()
     assert settings.page.folder == f"/var/lib/{values('StateDirectory', PAGE)[0]}"

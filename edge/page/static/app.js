@@ -6,6 +6,7 @@ import { Alarms } from "./alarms.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
 import { Profile } from "./profile.js";
 import { Access, Ask, Controls, Events, Health, Models, Now, Stop, Why, troubles } from "./parts.js";
+import { WhatIf } from "./what_if.js";
 
 const SPANS = [[3600, "1 h"], [6 * 3600, "6 h"], [86400, "1 day"], [7 * 86400, "7 days"]];
 const EMPTY = Object.fromEntries(
@@ -81,6 +82,7 @@ function Rig({ me }) {
       <${Part}><${Profile} view=${view} me=${me} done=${done} /><//>
       <${Part}><${Ask} me=${me} done=${done} /><//>
       <${Part}><${Events} me=${me} news=${seq} /><//>
+      <${Part}><${WhatIf} view=${view} /><//>
       <${Part}><${Models} view=${view} /><//>
       <${Part}><${Health} view=${view} /><//>
       <${Part}><${Alarms} me=${me} news=${seq} /><//>
