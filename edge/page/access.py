@@ -168,10 +168,11 @@ class Access:
             row = (seq, number, name, self.utc())
             db.execute("INSERT OR IGNORE INTO acknowledged VALUES (?, ?, ?, ?)", row)
 
-    def who_acknowledged(self, first_seq: int) -> dict[tuple[int, int], str]:
-        """Return who has seen which event of tick `first_seq` or later."""
+    def who_acknowledged(self, first_seq: int, since_utc: float = 0.0) -> dict[tuple[int, int], str]:
+        """Return who has seen which event of tick `first_seq` or later, and has said so after `since_utc`."""
+        query = "SELECT seq, number, name FROM acknowledged WHERE seq >= ? AND utc >= ?"
         with self._reading() as db:
-            rows = db.execute("SELECT seq, number, name FROM acknowledged WHERE seq >= ?", (first_seq,))
+            rows = db.execute(query, (first_seq, since_utc))
             return {(seq, number): name for seq, number, name in rows}
 
     def open_to_network(self) -> None:

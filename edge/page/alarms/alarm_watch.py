@@ -85,7 +85,9 @@ class AlarmWatch:
         return Finding(UNREAD, True if holds else None if unread else False, text)
 
     async def _note_seen(self) -> None:
-        places = [place for alarm in self.book.alarms.values() if not alarm.seen_by for place in alarm.places]
-        if places:
-            first_seq = min(place.seq for place in places)
-            self.book.note_seen(await in_thread(self.access.who_acknowledged, first_seq))
+        """Note what was acknowledged as events; not words of before, as of a history that was another one."""
+        alarms = [alarm for alarm in self.book.alarms.values() if alarm.places and not alarm.seen_by]
+        if alarms:
+            first_seq = min(place.seq for alarm in alarms for place in alarm.places)
+            since_utc = min(alarm.begun_utc for alarm in alarms)
+            self.book.note_seen(await in_thread(self.access.who_acknowledged, first_seq, since_utc))

@@ -52,7 +52,7 @@ class DeskRig:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.rig, self.clock = folder, FakeRig(), HandClock()
-        self.access = Access.of(folder / "page")
+        self.access = Access(folder / "page" / "page.db", self.clock.utc)
         self.history = folder / "history.db"
         store(self.history, tick(1))
 
@@ -170,6 +170,19 @@ def test_an_alarm_of_the_history_is_told_until_it_is_acknowledged_in_its_list(
     with http_sink() as sink:
         asyncio.run(scene())
     assert "ticks 5 to 9" in sink.texts()[0]
+
+
+def test_what_was_acknowledged_in_another_history_is_not_seen(rig: DeskRig) -> None:
+    async def scene() -> None:
+        rig.access.acknowledge(2, 0, "Ann")  # of a history that has been deleted since
+        rig.pass_s(60.0)
+        async with running(rig.desk(ntfy={"url": f"{sink.url}/t"})) as desk:
+            await looks(desk)
+            rig.event(2, "history.ticks_lost", "ticks 5 to 9")
+            await until(lambda: len(titles(sink)) == 1)
+
+    with http_sink() as sink:
+        asyncio.run(scene())
 
 
 def test_past_alarms_are_not_told_when_the_page_runs_for_the_first_time(rig: DeskRig) -> None:

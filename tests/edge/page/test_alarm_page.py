@@ -88,10 +88,9 @@ def test_a_hung_daemon_is_told_and_its_signs_of_life_end(
 
 def test_a_missing_board_is_one_alarm_however_many_events_say_so(folder: Path, sink: HttpSink) -> None:
     with DaemonProcess(folder) as daemon, page_of(folder, alarms=settings(sink)):
-        daemon.wait_ticks(12)
         wait_for(lambda: ("board.silent", "alarm") in named(sink))
         wait_for(lambda: daemon.has_event("board.port_missing"))
-        daemon.wait_ticks(8)
+        daemon.wait_ticks(5)
         assert [one for one in named(sink) if one[0] == "board.silent"] == [("board.silent", "alarm")]
 
 
