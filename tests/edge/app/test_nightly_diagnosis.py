@@ -272,7 +272,7 @@ def test_an_adoption_that_is_refused_is_told_with_its_reason(tmp_path, report):
         ({"report": 5}, "adopt: report"),
         ({}, "there is no report None"),
         ({"report": "2026-07-01_0300", "how": "sideways"}, "'sideways' is none of shadow, activate"),
-        ({"report": "2026-07-01_0300", "key": "/root/key"}, "unknown key 'key'"),
+        ({"report": "2026-07-01_0300", "key": "/etc/key"}, "unknown key 'key'"),
         ({"job": 7}, "job: 7 is forgotten"),
     ],
 )
