@@ -15,7 +15,7 @@ import yaml
 
 from edge.app.backup import BackupManifest, read_manifest
 from edge.app.commission_button import CommissionRequest
-from edge.app.nightly_diagnosis import Findings, UnitAnswer, UnitRequest
+from edge.app.nightly_diagnosis import AdoptRequest, Findings, UnitAnswer, UnitRequest
 from edge.app.request_routes import WhyRequest
 from edge.app.setup import SetupAnswers, read_answers
 from edge.assistant.llm import wire
@@ -28,6 +28,7 @@ from edge.assistant.llm.wire import ChoicesDocument
 from edge.assistant.requests.answer import WishAnswer, understood
 from edge.assistant.requests.desk import ProposalRequest, WishRequest
 from edge.board.board_file import BoardDocument, read_board_file
+from edge.bundle.inventory import ModelReport
 from edge.bundle.keeper import BundleRequest
 from edge.bundle.manifest import MANIFEST, TWIN, Manifest, parse_manifest
 from edge.bundle.roles import Roles
@@ -53,6 +54,8 @@ from edge.models.contract import ContractDocument, parse_contract
 from edge.models.policy_contract import PolicyDocument, parse_policy_contract
 from edge.mqtt import commands
 from edge.mqtt.commands import Resend
+from edge.page.alarms.alarm_state import AlarmState
+from edge.page.alarms.trial import ChannelTrial, TrialAnswer
 from edge.safety.memory import Dose, SafetyMemory
 from edge.state import codecs
 from edge.state.codecs import DriftDocument, SafetyDocument, SkillDocument, StandingDocument
@@ -74,6 +77,7 @@ from edge.tick.orders import (
     read_request,
 )
 from edge.tick.orders_json import OperationDocument
+from edge.tick.standing_profile import StandingProfile
 from edge.tick.steering import DailyTarget, FanRest, Steering
 from edge.twin.twin_file import TwinDocument, read_twin_file
 from edge.twin.value import KnownValue, ValueToFit, read_value
@@ -253,6 +257,8 @@ KINDS: dict[type, DocumentKind] = {
         RequestError,
     ),
     WhyRequest: asked(WhyRequest, {"at_utc": 1.0}, ("at_utc",)),
+    AdoptRequest: asked(AdoptRequest, {"report": "2026-07-01_0300", "job": 1}, ("job",)),
+    ModelReport: in_memory(ModelReport, {"adopted_twin": {"from": "1.0"}}, ()),
     BundleRequest: asked(BundleRequest, {"action": "status", "job": 1}, ("job",)),
     CommissionRequest: asked(CommissionRequest, {"end": True}),
     WishRequest: asked(WishRequest, {"words": "warmer"}),
@@ -311,10 +317,18 @@ KINDS: dict[type, DocumentKind] = {
     Spending: in_memory_by(
         codecs.decode_spending, codecs.encode_spending(Spending("2026-07-01", 5)), ("tokens",)
     ),
+    StandingProfile: in_memory(
+        StandingProfile,
+        {"name": "a", "times_s": [0.0, 60.0], "targets_c": [20.0, 25.0]},
+        ("times_s", 1),
+    ),
+    AlarmState: in_memory(AlarmState, {"alarms": [], "notes": {}}),
+    ChannelTrial: in_memory(ChannelTrial, {"id": "a", "utc": 1.0}, ("utc",)),
+    TrialAnswer: in_memory(TrialAnswer, {"id": "a", "reasons": {"ntfy": ""}}),
     Roles: in_memory(Roles, asdict(Roles())),
     Admission: in_memory(Admission, asdict(Admission("1.0", ("0" * 64,)))),
 }
-FOREIGN = {ChoicesDocument, ReportedTwin, Findings}  # may hold keys of others
+FOREIGN = {ChoicesDocument, ReportedTwin, Findings, ModelReport}  # may hold keys of others
 PARTS = {"UsageDocument"}  # read out of a reply; the usage is None where it is wrong
 every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=[kind.__name__ for kind in KINDS])
 
