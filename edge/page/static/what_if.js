@@ -41,6 +41,7 @@ export function WhatIf({ view }) {
       <table><thead><tr><th>90 % intervals</th><th>now</th>${differs && html`<th>with the change</th>`}</tr></thead><tbody>
         ${found.rows.map((row) => html`<tr key=${row.row}><th scope="row">${row.row}</th><td>${row.now.text}</td>${differs && html`<td>${row.changed?.text}</td>`}</tr>`)}
       </tbody></table>
-      <details><summary>What it rests on (${found.twin})</summary>${found.notes.map((note) => html`<p key=${note}>${note}</p>`)}</details>`}</div>
+      <p class="quiet">${found.notes[0]}</p>
+      <details><summary>What it rests on (${found.twin})</summary>${found.notes.slice(1).map((note) => html`<p key=${note}>${note}</p>`)}</details>`}</div>
   </section>`;
 }
