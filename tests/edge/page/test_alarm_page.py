@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 from alarm_servers import HttpSink, http_sink
-from page_process import page_of
 from selenium.webdriver.common.by import By
 
 from bench.support.broker import free_port, wait_for
 from bench.support.browser import PHONE, browser
 from bench.support.daemon_process import ROOT, DaemonProcess
+from bench.support.page_process import page_of
 from bench.support.virtual_board import VirtualBoard
 from edge.page.access import DAY_S, Role
 
@@ -64,7 +64,7 @@ def go_on(daemon: DaemonProcess) -> None:
 def test_a_hung_daemon_is_told_and_its_signs_of_life_end(
     folder: Path, board: VirtualBoard, sink: HttpSink
 ) -> None:
-    with DaemonProcess(folder) as daemon, page_of(folder, alarms=settings(sink)) as page:
+    with DaemonProcess(folder) as daemon, page_of(folder, {"alarms": settings(sink)}) as page:
         wait_for(lambda: signs(sink))
         hang(daemon)
         try:
@@ -87,7 +87,7 @@ def test_a_hung_daemon_is_told_and_its_signs_of_life_end(
 
 
 def test_a_missing_board_is_one_alarm_however_many_events_say_so(folder: Path, sink: HttpSink) -> None:
-    with DaemonProcess(folder) as daemon, page_of(folder, alarms=settings(sink)):
+    with DaemonProcess(folder) as daemon, page_of(folder, {"alarms": settings(sink)}):
         wait_for(lambda: ("board.silent", "alarm") in named(sink))
         wait_for(lambda: daemon.has_event("board.port_missing"))
         daemon.wait_ticks(5)
@@ -95,7 +95,7 @@ def test_a_missing_board_is_one_alarm_however_many_events_say_so(folder: Path, s
 
 
 def test_roles_and_secrets(folder: Path, sink: HttpSink) -> None:
-    with page_of(folder, alarms=settings(sink)) as page:
+    with page_of(folder, {"alarms": settings(sink)}) as page:
         viewer, operator, admin = (page.client(role) for role in Role)
         assert page.client(None).get("/api/alarms").status_code == 401
         assert viewer.get("/api/alarms").status_code == 403
@@ -121,7 +121,7 @@ def test_roles_and_secrets(folder: Path, sink: HttpSink) -> None:
 
 def test_the_command_line_says_for_each_channel_whether_it_works(folder: Path, sink: HttpSink) -> None:
     broken = {"ntfy": {"url": f"http://127.0.0.1:{free_port()}/{SECRET}"}}
-    with page_of(folder, alarms=settings(sink) | broken) as page:
+    with page_of(folder, {"alarms": settings(sink) | broken}) as page:
         done = subprocess.run(
             [sys.executable, "-m", "edge", "page", "--config", str(page.config), "test-alarm"],
             capture_output=True, text=True, cwd=ROOT, timeout=90, check=False,
@@ -139,7 +139,7 @@ def test_the_card_tests_and_acknowledges_on_a_phone(
 ) -> None:
     with (
         DaemonProcess(folder),
-        page_of(folder, alarms=settings(sink)) as page,
+        page_of(folder, {"alarms": settings(sink)}) as page,
         browser(PHONE) as driver,
     ):
         driver.get(f"{page.base}/#link={page.access.make_link(Role.ADMIN, 'Ann', DAY_S)}")
