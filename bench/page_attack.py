@@ -45,7 +45,7 @@ LEAVE_S = 12.0  # in which the page ends what an attack has left behind
 
 
 @dataclass(slots=True)
-class Attack:
+class PageAttack:
     """One attacker: threads that send until `until_s`, and what they found."""
 
     victim: Victim
@@ -140,7 +140,7 @@ class Watch(threading.Thread):
         return self.highest_mb
 
 
-def kept(page: PageProcess, daemon: DaemonProcess) -> dict[str, Any]:
+def kept_state(page: PageProcess, daemon: DaemonProcess) -> dict[str, Any]:
     """Return what an attack must not change."""
     operation = daemon.ask("status")["operation"]
     return {
@@ -180,7 +180,7 @@ def attacker(victim: Victim, sessions: Sequence[str], seconds: float, seed: int)
 def attack(words: str) -> None:
     """Be the attacker of `attacker`, and print what was found as JSON."""
     port, admin, guest, sessions, seconds, seed = json.loads(words)
-    found = Attack(Victim(port, admin, guest), sessions, time.monotonic() + seconds)
+    found = PageAttack(Victim(port, admin, guest), sessions, time.monotonic() + seconds)
     print(json.dumps(found.run(seed)))
 
 
@@ -215,7 +215,7 @@ def report(seconds: float, rounds: int, seed: int, one_core: bool) -> Iterator[s
         sessions = [found[0] for found in entered if found is not None]
         page.access.set_password("eve", Role.ADMIN, "the right one")
         processes = (("daemon", daemon.process.pid), ("page", page.process.pid))
-        before = kept(page, daemon), [memory_of(str(pid)) for _, pid in processes]
+        before = kept_state(page, daemon), [memory_of(str(pid)) for _, pid in processes]
         watches = [Watch(pid) for _, pid in processes]
         quiet, attacked, found = Phase(), Phase(), []
         for watch in watches:
@@ -230,7 +230,7 @@ def report(seconds: float, rounds: int, seed: int, one_core: bool) -> Iterator[s
                 if storm is not None:
                     found.append(json.loads(storm.communicate(timeout=120.0)[0]))
                     time.sleep(LEAVE_S)
-        after = kept(page, daemon), [memory_of(str(pid)) for _, pid in processes]
+        after = kept_state(page, daemon), [memory_of(str(pid)) for _, pid in processes]
         storm = attacker(victim, sessions, 15.0, seed + rounds)
         time.sleep(8.0)
         stop_s = stop_in_the_storm(guest)
