@@ -18,6 +18,7 @@ from edge.core.errors import RequestError
 from edge.twin.box_words import wall
 from edge.twin.constant_inputs import ConstantInputs, SteadyTwin
 from edge.twin.draws import drawn_twins, even_normals
+from edge.twin.effects.loss import WALL_CONDUCTANCES
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import resistance_m2_k_w
 from edge.twin.twin_file import Place, TwinFile
@@ -32,11 +33,7 @@ SEEN_MIN_K = 5.0  # over the room; a box in tests is warmed by more
 # 6946 has them. Of the virtual board's chamber two thirds are conducted (bench/what_if.py).
 WALL_SHARE_MIN = 0.5
 WALL_KNOWN = 3.0  # times, from end to end of an interval of the walls' loss
-WALL_PLACES: tuple[Place, ...] = (
-    ("effects", "wall_mass", "G_in"),
-    ("effects", "wall_mass", "G_out"),
-    ("effects", "wall_loss", "UA"),
-)
+WALL_PLACES: tuple[Place, ...] = tuple(("effects", effect, key) for effect, key in WALL_CONDUCTANCES)
 _NORMAL = NormalDist()
 HEATER: Place = ("geometry", "heater_max_w")
 HUMIDITY_PCT = 60.0  # where the twin's plants and soil evaporate

@@ -17,6 +17,7 @@ from edge.app.what_if import (
 )
 from edge.config.settings import Settings
 from edge.twin.draws import CORRELATION, uncertain
+from edge.twin.effects.heater import heater_lag
 from edge.twin.twin_file import TwinFile
 
 SURE = 0.95  # share of the draws for a plain yes or no
@@ -126,7 +127,7 @@ def unknowns_of(file: TwinFile, asked: WhatIf, found: Outlook) -> Iterator[str]:
 
 
 def _of_change(file: TwinFile, change: TwinChange) -> Iterator[str]:
-    if change.heater_w is not None and "heater_lag" in file.effects:
+    if change.heater_w is not None and heater_lag.__name__ in file.effects:
         yield "The other heater is taken to be as slow as the present one."
     if change.wall_factor is not None:
         yield (

@@ -21,6 +21,10 @@ KELVIN = 273.15
 _TANGENT_K = 298.15  # where radiation is linearised; what is left over is heat by the temperature
 
 
+# Effect and parameter of each conductance that other walls change.
+WALL_CONDUCTANCES = (("wall_mass", "G_in"), ("wall_mass", "G_out"), ("wall_loss", "UA"))
+
+
 def wall_loss(network: Network, UA: float) -> None:
     """Heat straight through the walls: Q = -UA (T - T_amb)."""
     network.connect(AIR, ROOM, UA, wall=True)
