@@ -268,9 +268,7 @@ def _check_change(file: TwinFile, drawn: Sequence[TwinFile], change: TwinChange)
     low, _, high = np.quantile([_wall_w_k(own) for own in drawn], LEVELS)
     if not high > 0.0:
         others = ", ".join(file.effects) or "no effect"
-        raise RequestError(
-            f"walls: the twin has none of its own: neither wall_loss nor wall_mass, but {others}"
-        )
+        raise RequestError(f"walls: the twin has none of its own, but {others}")
     if not high < WALL_KNOWN * low:
         raise RequestError(
             f"walls: the twin knows their loss only as {max(low, 0.0):.2g} to {high:.2g} W/K, which is too "

@@ -143,7 +143,7 @@ def test_what_the_twin_has_not_is_refused() -> None:
     others = [
         (
             replace(BARE, effects={"infiltration": {"F_inf": Value(0.002)}}),
-            "neither wall_loss nor wall_mass, but infil",
+            "the twin has none of its own, but infil",
         ),
         (replace(BARE, effects={"wall_loss": {"UA": Value(4.0, low=0.5, high=30.0)}}), "which is too little"),
         (replace(BARE, effects={"wall_loss": {"UA": Value(1.0, low=-3.0, high=5.0)}}), "which is too little"),
