@@ -233,15 +233,18 @@ def run(arguments: argparse.Namespace) -> int:
     values = {key: value for key, value in vars(arguments).items() if key not in not_asked}
     message = {"do": name, **values}
     answer = request(socket_of(arguments, urgent=is_urgent(message)), message)
+    if name != "status" or not answer.get("ok", False):
+        return print_answer(answer)
+    print(json.dumps(answer, indent=1) if arguments.json else "\n".join(status_lines(answer)))
+    return 0
+
+
+def print_answer(answer: dict[str, Any]) -> int:
+    """Print the daemon's answer to an order; 1 where it refuses, or where the disk has not taken it."""
     if not answer.get("ok", False):
         print(f"{'warning' if is_in_force(answer) else 'refused'}: {answer.get('error', answer)}")
         return 1
-    if name != "status":
-        print("done")
-    elif arguments.json:
-        print(json.dumps(answer, indent=1))
-    else:
-        print("\n".join(status_lines(answer)))
+    print("done")
     if warning := answer.get("warning"):
         print(f"warning: {warning}", file=sys.stderr)
     return 0

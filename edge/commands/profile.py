@@ -4,10 +4,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from edge.commands.orders import print_answer
 from edge.commands.which_rig import add_socket, socket_of
 from edge.core.errors import DataError
-from edge.formats.profile_file import read_profile
 from edge.sockets.client import request
+from edge.tick.reference import reference_from_profile
 from edge.tick.standing_profile import NAME_MAX, POINTS_MAX
 
 ACTIONS = {
@@ -35,20 +36,13 @@ def run(arguments: argparse.Namespace) -> int:
     order: dict[str, Any] = {"do": f"{arguments.action}_profile"}
     if arguments.action == "start":
         order["profile"] = order_of(arguments.file, arguments.lines)
-    answer = request(socket_of(arguments), order)
-    if answer.get("ok"):
-        print("done")
-        return 0
-    print(f"refused: {answer.get('error', answer)}")
-    return 1
+    return print_answer(request(socket_of(arguments), order))
 
 
 def order_of(file: Path, is_linear: bool) -> dict[str, Any]:
     """Return a file's targets as the order has them. Errors: DataError"""
-    found = read_profile(file)
-    if not found.is_reference:
-        raise DataError(f"{file}: reference_c is not among the columns")
-    times, targets = found.columns["time_s"].tolist(), found.columns["reference_c"].tolist()
+    found = reference_from_profile(file)
+    times, targets = found.times_s.tolist(), found.values_c.tolist()
     if len(times) > POINTS_MAX:
         raise DataError(f"{file}: {len(times)} rows; a rig follows {POINTS_MAX} at most")
     return {"name": file.stem[:NAME_MAX], "times_s": times, "targets_c": targets, "linear": is_linear}

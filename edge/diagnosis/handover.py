@@ -19,12 +19,12 @@ from edge.diagnosis.prepare import PreparedRuns, errors_over
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin
-from edge.diagnosis.unknowns import SDS_95, UnknownValue
+from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.effects.effect import ParameterKind, Values
 from edge.twin.effects.library import EFFECTS
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
-from edge.twin.value import Value
+from edge.twin.value import SDS_95, Value
 
 WATER_J_M3_K = 4.18e6  # nothing that fits into a box stores more heat
 LAGS = (ParameterKind.AIR_LAG, ParameterKind.LAG)

@@ -26,13 +26,13 @@ from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.search import WORTH_A_LOOK, Search
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin
-from edge.diagnosis.unknowns import SDS_95, with_usual
+from edge.diagnosis.unknowns import with_usual
 from edge.diagnosis.verdict import DiagnosisVerdict, MissingEffect, intervals, read, unnamed_verdict
 from edge.twin.effects.effect import Effect, Offer, ParameterKind
 from edge.twin.effects.library import EFFECTS, common_effects
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
-from edge.twin.value import Value
+from edge.twin.value import SDS_95, Value
 
 Floats = NDArray[np.float64]
 MOST_UNNAMED = 2

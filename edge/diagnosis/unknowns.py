@@ -60,7 +60,6 @@ def settle(file: TwinFile) -> TwinFile:
 
 
 Floats = NDArray[np.float64]
-SDS_95 = 1.959964  # standard deviations of a normal on either side that hold 95 %
 LOG_PRIOR_SD = 2.0  # of what nothing is known but its usual size: a factor of 7 either way
 GEOMETRY_PRIOR_SD = 3.0  # the same for a geometry value that is to be fitted
 LINEAR_PRIOR_SHARE = 0.5  # of the range of a value that may be 0 or negative

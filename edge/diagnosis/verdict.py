@@ -17,8 +17,8 @@ from edge.diagnosis.formulas import PREFIX, FormulaShape
 from edge.diagnosis.noise_levels import unexplained_heat
 from edge.diagnosis.search import RIVAL_NATS, Search
 from edge.diagnosis.trial import FittedTwin
-from edge.diagnosis.unknowns import SDS_95, UnknownValue
-from edge.twin.value import Value
+from edge.diagnosis.unknowns import UnknownValue
+from edge.twin.value import SDS_95, Value
 
 # As bench.calibrate printed them for 158 names of simulated cases and 5 of measured logs, which count thrice:
 # intercept, and slopes of `evidence`.

@@ -13,12 +13,13 @@ from edge.formats.number_table import NumberTable, read_table
 
 Floats = NDArray[np.float64]
 
-# Column -> lowest and highest value; a reference's own limits are the daemon's settings, these are sanity.
+REFERENCE_C = (-20.0, 80.0)  # sanity: the limits of today's settings are checked when it is followed [°C]
+# Column -> lowest and highest value.
 _RANGES = {
     "heater_duty": (0.0, 1.0),
     "fan_on": (0.0, 1.0),
     "light": (0.0, 1.0),
-    "reference_c": (-20.0, 80.0),
+    "reference_c": REFERENCE_C,
 }
 
 

@@ -28,17 +28,17 @@ async def export(page: Page, request: Request, visitor: Visitor) -> Response:
     first_utc, last_utc = number(given, "from_utc"), number(given, "to_utc")
     if not first_utc < last_utc:
         raise RequestError("from_utc has to be before to_utc")
-    if page.exports:
+    if page.is_exporting:
         raise NotAllowed(HTTPStatus.SERVICE_UNAVAILABLE, "another export is under way: try again after it")
-    page.exports = True
+    page.is_exporting = True
     try:
         pieces = run_text(page.history, first_utc, last_utc, partial(history.reading, page.history))
         head = await in_thread(next, pieces)  # all that can be wrong with the stretch is found here
     except DataError as error:
-        page.exports = False
+        page.is_exporting = False
         raise NotAllowed(HTTPStatus.NOT_FOUND, str(error)) from None
     except BaseException:
-        page.exports = False
+        page.is_exporting = False
         raise
     return _RunFile(page, chain([head], pieces), first_utc)
 
@@ -57,7 +57,7 @@ class _RunFile(StreamingResponse):
         try:
             await super().__call__(scope, receive, send)
         finally:
-            self._page.exports = False
+            self._page.is_exporting = False
 
     async def stream_response(self, send: Send) -> None:
         """Send the pieces; a reader that is too slow gets no end, and so knows that rows are missing."""

@@ -43,7 +43,7 @@ class Page:
         default_factory=lambda: anyio.CapacityLimiter(1)
     )
     streams: dict[int, list[asyncio.Event]] = field(default_factory=dict)  # of each session, the oldest first
-    exports: bool = False  # the history is on its way to somebody
+    is_exporting: bool = False  # the history is on its way to somebody
 
     @property
     def history(self) -> Path:

@@ -1,4 +1,4 @@
-"""TwinQuestions to the twin: `greenhouse what-if` as a process of its own, for this one never holds numpy.
+"""Questions to the twin: `greenhouse what-if` as a process of its own, for this one never holds numpy.
 
 One at a time, with little of the processor and of its time, and the answer stays for whoever asks the same: a
 crowd of viewers costs the daemon's computer no more than a few answers a minute.

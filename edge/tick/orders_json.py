@@ -8,10 +8,11 @@ from typing import Annotated, Any
 from edge.core.messages import Command
 from edge.core.names import ACTUATORS
 from edge.formats.cross_check import CheckedDocument, Rule
+from edge.formats.profile_file import REFERENCE_C
 from edge.formats.reader import DocumentError, read, read_number
 from edge.tick import steering as steerings
 from edge.tick.orders import UTC_MAX, Before, FanMode, Mode, Operation
-from edge.tick.standing_profile import REFERENCE_C, StandingProfile, Target
+from edge.tick.standing_profile import StandingProfile, Target
 from edge.tick.steering import Steering
 
 

@@ -13,15 +13,14 @@ import numpy as np
 
 from edge.core.plain_text import plain
 from edge.formats.cross_check import CheckedDocument, Rule
+from edge.formats.profile_file import REFERENCE_C
 from edge.formats.reader import read
-from edge.tick.reference import Reference
+from edge.tick.reference import DAY_S, Reference
 
-DAY_S = 86_400.0
 LONGEST_S = 400 * DAY_S
 POINTS_MAX = 500
 NAME_MAX = 40  # characters
 SAVE_EVERY_S = 600.0  # of its time: what a power cut may take back; a write wears a card
-REFERENCE_C = (-20.0, 80.0)  # sanity: the limits of today's settings are checked when an order is given [°C]
 
 Target = Annotated[float, Rule(low=REFERENCE_C[0], high=REFERENCE_C[1])]
 Moment = Annotated[float, Rule(low=0.0, high=LONGEST_S)]

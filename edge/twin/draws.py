@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from edge.core.errors import DataError
 from edge.twin.effects.library import EFFECTS, acting_effects
 from edge.twin.twin_file import Place, TwinFile
-from edge.twin.value import Value
+from edge.twin.value import SDS_95, Value
 
 Floats = NDArray[np.float64]
 CORRELATION = "correlation"  # key of the provenance
-SDS_95 = 1.959964  # standard deviations of a normal distribution on either side that hold 95 %
 DIGITS = 3  # of a correlation in a file
 SEED = 1  # the same question gets the same answer
 

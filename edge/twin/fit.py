@@ -17,7 +17,7 @@ from edge.twin.effects.library import acting_effects, day_counter, parameter_at
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import Place, TwinFile
-from edge.twin.value import Value
+from edge.twin.value import SDS_95, Value
 from edge.twin.warm_start import at_rest, spread
 
 Floats = NDArray[np.float64]
@@ -80,7 +80,6 @@ GEOMETRY_RANGE = (0.01, 100.0)  # of a geometry value that is fitted, shares of 
 AMBIENT_RANGE_C = (-20.0, 60.0)
 CORRELATED_S = 1800.0  # of the paper's box: errors of a free run closer than this go together
 FINE = float(np.sqrt(np.finfo(float).eps))  # share of a value, by which SciPy takes differences
-_95 = 1.959964  # standard deviations of a normal distribution, both sides
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +259,7 @@ def _estimates(problem: _Problem, scaled: Floats, jacobian: Floats, run: FreeRun
 
 
 def _estimate(item: _Unknown, value: float, sd: float) -> FittedValue:
-    low, high = max(value - _95 * sd, item.low), min(value + _95 * sd, item.high)
+    low, high = max(value - SDS_95 * sd, item.low), min(value + SDS_95 * sd, item.high)
     margin = 1e-6 * (item.high - item.low)
     at_bound = not item.low + margin < value < item.high - margin
     return FittedValue(float(value), float(sd), float(low), float(high), bool(at_bound))

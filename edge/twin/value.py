@@ -8,6 +8,8 @@ from edge.core.errors import DataError
 from edge.formats.cross_check import ABSENT, CheckedDocument, Rule
 from edge.formats.reader import read, read_number
 
+SDS_95 = 1.959964  # standard deviations of a normal distribution on either side that hold 95 %
+
 
 @dataclass(frozen=True, slots=True)
 class Value:

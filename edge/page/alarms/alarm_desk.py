@@ -6,6 +6,7 @@ in memory counts; it is saved with every change, and a disk that takes nothing k
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ class AlarmDesk:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._again(self._look, PAUSE_S))
             for messenger in self._messengers.values():
-                group.create_task(self._again(lambda one=messenger: self._send_due(one), 0.0))  # type: ignore[misc]
+                group.create_task(self._again(partial(self._send_due, messenger), 0.0))
             if self._life_sign is not None:
                 group.create_task(self._again(self._give_sign, 0.0))
 

@@ -6,6 +6,7 @@ import hmac
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from edge.config.alarm_settings import (
     AlarmSettings,
@@ -43,14 +44,13 @@ def channels_of(settings: AlarmSettings) -> tuple[Channel, ...]:
     """Return the channels that are configured."""
     found = []
     if settings.ntfy.is_set:
-        send: Send = lambda message, cut: _ntfy(settings.ntfy, message, cut)  # noqa: E731
-        found.append(Channel(NTFY, host_of(settings.ntfy, NTFY), send))
+        found.append(Channel(NTFY, host_of(settings.ntfy, NTFY), partial(_ntfy, settings.ntfy)))
     if settings.mail.host:
-        send = lambda message, cut: send_mail(settings.mail, message, cut)  # noqa: E731
-        found.append(Channel(MAIL, f"{settings.mail.host}:{settings.mail.port}", send))
+        server = f"{settings.mail.host}:{settings.mail.port}"
+        found.append(Channel(MAIL, server, partial(send_mail, settings.mail)))
     if settings.webhook.is_set:
-        send = lambda message, cut: _webhook(settings.webhook, message, cut)  # noqa: E731
-        found.append(Channel(WEBHOOK, host_of(settings.webhook, WEBHOOK), send))
+        webhook = settings.webhook
+        found.append(Channel(WEBHOOK, host_of(webhook, WEBHOOK), partial(_webhook, webhook)))
     return tuple(found)
 
 

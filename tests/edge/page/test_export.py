@@ -103,7 +103,7 @@ def test_a_reader_that_stalls_is_left_and_its_place_is_free(monkeypatch: pytest.
     answer = export._RunFile(place, chain(repeat("a row\n", 10)), START_UTC)
     asyncio.run(asyncio.wait_for(answer({"type": "http"}, receive, send), 20.0))
     assert len(sent) == 3  # and no end, which would call what is there the whole
-    assert place.exports is False
+    assert place.is_exporting is False
 
 
 @pytest.fixture(scope="module")
