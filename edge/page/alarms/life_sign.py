@@ -43,6 +43,7 @@ class LifeSign:
         """Give one sign; return why it did not arrive, or why it is withheld, "" where it arrived."""
         if reason := self.problem():
             return f"withheld, so that the service notices: {reason}"
+        begun_s = self.clock()  # a slow answer does not put the next sign off
         try:
             await self.sender.run(lambda cut: give_life_sign(self.settings, cut))
         except SendError as error:
@@ -50,7 +51,7 @@ class LifeSign:
             self.note = replace(self.note, failed_utc=round(self.utc(), 3), reason=str(error))
             return str(error)
         self.retries.note(None)
-        self._due_s = self.clock() + self.settings.every_s
+        self._due_s = begun_s + self.settings.every_s
         self.note = replace(self.note, sent_utc=round(self.utc(), 3))
         return ""
 
