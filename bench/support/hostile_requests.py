@@ -32,7 +32,10 @@ WRITES: tuple[tuple[str, str, Any], ...] = (
     ("DELETE", "/api/sessions/1", {}),
     ("POST", "/api/events/acknowledge", {"seq": 1, "number": 0}),
 )
-READS = ("me", "view", "stream", "course?from_utc=0&to_utc=1", "events", "span", "why?at_utc=1", "sessions")
+READS = (
+    "me", "view", "stream", "course?from_utc=0&to_utc=1", "events", "span", "why?at_utc=1", "sessions",
+    "models", "diagnoses", "diagnoses/x", "diagnoses/x/report",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,9 +49,12 @@ class InstalledBundle:
 
 @dataclass(frozen=True, slots=True)
 class Inventory:
-    """back_to : bundle that a roll back makes active; undo : bundle that undoing the last adoption leaves"""
+    """ordered : active by the store, though another one may serve in its place
+    back_to : bundle that a roll back makes active; undo : bundle that undoing the last adoption leaves
+    """
 
     bundles: tuple[InstalledBundle, ...] = ()
+    ordered: str | None = None
     shadow: str | None = None
     back_to: str | None = None
     undo: str | None = None
@@ -68,7 +71,7 @@ def take_inventory(store: BundleStore, before: Inventory) -> Inventory:
         roles = store.roles()
     except DataError:  # the keeper tells it as a problem of what serves
         return Inventory(bundles)
-    return Inventory(bundles, roles.shadow, back_to(roles), last_adopted(roles))
+    return Inventory(bundles, roles.active, roles.shadow, back_to(roles), last_adopted(roles))
 
 
 def _look(store: BundleStore, version: str) -> InstalledBundle:

@@ -38,6 +38,14 @@ def answer(code: HTTPStatus = HTTPStatus.OK, /, **values: Any) -> JSONResponse:
     return JSONResponse(values, code)
 
 
+def passed_on(found: Json) -> JSONResponse:
+    """Return the daemon's answer; its refusals are the asker's fault, its silence is not."""
+    if found.get("ok"):
+        return JSONResponse(found)
+    status = HTTPStatus.GATEWAY_TIMEOUT if found.pop("unreached", False) else HTTPStatus.BAD_REQUEST
+    return JSONResponse(found, status)
+
+
 async def document(request: Request) -> Json:
     """Return the JSON object of a request. Errors: RequestError"""
     try:

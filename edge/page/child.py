@@ -35,6 +35,7 @@ def page_of(settings: Settings, folder: Path, rig: str) -> Iterator[str]:
         "history": {"path": settings.history.path},
         "bundle": {"path": settings.bundle.path},
         "mqtt": {"rig": rig},
+        "drift": {"reports": settings.drift.reports},
         "page": {"host": HOST, "port": port, "folder": str(home)},
     }
     file = folder / "page.yaml"

@@ -148,7 +148,7 @@ def _with_headers(send: Send, path: str) -> Send:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             for name, value in HEADERS.items():
-                headers[name] = value
+                headers.setdefault(name, value)  # a route may be stricter
             headers["cache-control"] = "no-store" if path.startswith("/api/") else "no-cache"
         await send(message)
 

@@ -6,8 +6,9 @@ The file static/openapi.json is served; the page itself never imports this modul
 import json
 from dataclasses import MISSING, fields
 from enum import Enum
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
+from edge.app.nightly_diagnosis import AdoptRequest
 from edge.bundle.keeper import BundleRequest
 from edge.core.version import __version__
 from edge.formats.cross_check import CheckedDocument, Rule
@@ -52,7 +53,12 @@ OF_THE_DESK: dict[str, Json] = {  # orders that the loop does not know
     "confirm": {"id": TEXT},
     "discard": {"id": TEXT},
 }
-STREAMS = {"/api/stream": "text/event-stream", "/api/export": "text/csv"}
+JOBS = {"bundle": BundleRequest, "adopt": AdoptRequest}  # orders that take their time
+NOT_JSON = {
+    "/api/stream": "text/event-stream",
+    "/api/export": "text/csv",
+    "/api/diagnoses/{name}/report": "text/html",
+}
 
 
 def openapi() -> Json:
@@ -86,7 +92,7 @@ def openapi() -> Json:
 
 
 def _responses(path: str) -> Json:
-    kind = STREAMS.get(path, "application/json")
+    kind = NOT_JSON.get(path, "application/json")
     refused = {"schema": _object({"ok": {"const": False}, "error": TEXT})}
     return {
         "200": {"description": "done", "content": {kind: {"schema": {}}}},
@@ -99,8 +105,11 @@ def _parameters(path: str) -> list[Json]:
         {"name": name, "in": "query", "required": not optional, "schema": schema}
         for name, (schema, optional) in PARAMETERS.get(path, {}).items()
     ]
-    in_path = [name.partition(":")[0] for name in path.replace("}", "{").split("{")[1::2]]
-    return given + [{"name": name, "in": "path", "required": True, "schema": WHOLE} for name in in_path]
+    in_path = [name.partition(":") for name in path.replace("}", "{").split("{")[1::2]]
+    return given + [
+        {"name": name, "in": "path", "required": True, "schema": WHOLE if kind else TEXT}
+        for name, _, kind in in_path
+    ]
 
 
 def _body(path: str) -> Json:
@@ -114,7 +123,7 @@ def _order(kind: str) -> Json:
     if kind in OF_THE_DESK:
         keys, required = OF_THE_DESK[kind], list(OF_THE_DESK[kind])
     else:
-        document = BundleRequest if kind == "bundle" else ORDERS[kind].keys
+        document = JOBS.get(kind) or ORDERS[kind].keys
         keys, required = _properties(document), _keys_without_default(document)
     found = _object({"do": {"const": kind}, **keys})
     return {**found, "required": ["do", *required], "description": f"Needs the role {NEEDS[kind].word}."}
@@ -142,11 +151,13 @@ def _schema(kind: Any) -> Json:
         return {"type": "array", "items": _schema(get_args(kind)[0])}
     if type(None) in get_args(kind):
         return {"anyOf": [_schema(get_args(kind)[0]), {"type": "null"}]}
+    if get_origin(kind) is Literal:
+        return {"enum": list(get_args(kind))}
     if isinstance(kind, type) and issubclass(kind, Enum):
         return {"enum": [each.value for each in kind]}
     if isinstance(kind, type) and issubclass(kind, CheckedDocument):
         return {**_object(_properties(kind)), "required": _keys_without_default(kind)}
-    return {float: NUMBER, str: TEXT, bool: {"type": "boolean"}}.get(kind, {"type": "object"})
+    return {float: NUMBER, int: WHOLE, str: TEXT, bool: {"type": "boolean"}}.get(kind, {"type": "object"})
 
 
 def _bounds(rule: Rule, is_list: bool, is_text: bool) -> Json:

@@ -26,6 +26,7 @@ NEEDS = {
     "discard": Role.OPERATE,
     "undo": Role.OPERATE,
     "bundle": Role.ADMIN,
+    "adopt": Role.ADMIN,
 }
 
 

@@ -6,13 +6,13 @@ from collections.abc import AsyncIterator
 from http import HTTPStatus
 
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.responses import Response, StreamingResponse
 
 from edge.core.errors import RequestError
 from edge.core.messages import Severity
 from edge.page import history
 from edge.page.access import Visitor
-from edge.page.answers import Json, NotAllowed, answer, document, in_thread, number
+from edge.page.answers import NotAllowed, answer, document, in_thread, number, passed_on
 from edge.page.orders import NEEDS, problem
 from edge.page.page_state import Page
 from edge.page.questions import options
@@ -71,7 +71,7 @@ async def span(page: Page, request: Request, visitor: Visitor) -> Response:
 async def why(page: Page, request: Request, visitor: Visitor) -> Response:
     """Return the reasons of the command that held at a time."""
     found = await page.rig.ask({"do": "why", "at_utc": number(request.query_params, "at_utc")})
-    return _passed_on(found)
+    return passed_on(found)
 
 
 async def what_if(page: Page, request: Request, visitor: Visitor) -> Response:
@@ -105,7 +105,7 @@ async def acknowledge(page: Page, request: Request, visitor: Visitor) -> Respons
 
 async def stop(page: Page, request: Request, visitor: Visitor) -> Response:
     """Stop the rig."""
-    return _passed_on(await page.rig.stop(_author(visitor)))
+    return passed_on(await page.rig.stop(_author(visitor)))
 
 
 async def order(page: Page, request: Request, visitor: Visitor) -> Response:
@@ -116,16 +116,8 @@ async def order(page: Page, request: Request, visitor: Visitor) -> Response:
         raise NotAllowed(HTTPStatus.FORBIDDEN if known else HTTPStatus.BAD_REQUEST, reason)
     if given["do"] == "emergency_stop":
         return await stop(page, request, visitor)
-    return _passed_on(await page.rig.ask(given | {"by": _author(visitor)}))
+    return passed_on(await page.rig.ask(given | {"by": _author(visitor)}))
 
 
 def _author(visitor: Visitor) -> str:
     return f"{visitor.name} (page)"
-
-
-def _passed_on(found: Json) -> JSONResponse:
-    """Return the daemon's answer; its refusals are the asker's fault, its silence is not."""
-    if found.get("ok"):
-        return JSONResponse(found)
-    status = HTTPStatus.GATEWAY_TIMEOUT if found.pop("unreached", False) else HTTPStatus.BAD_REQUEST
-    return JSONResponse(found, status)

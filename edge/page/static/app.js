@@ -4,6 +4,7 @@ import { html, render, useEffect, useErrorBoundary, useMemo, useState } from "./
 import { call, follow } from "./api.js";
 import { Alarms } from "./alarms.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
+import { ModelCards } from "./models.js";
 import { Profile } from "./profile.js";
 import { Access, Ask, Controls, Events, Health, Models, Now, Stop, Why, troubles } from "./parts.js";
 import { WhatIf } from "./what_if.js";
@@ -84,6 +85,7 @@ function Rig({ me }) {
       <${Part}><${Events} me=${me} news=${seq} /><//>
       <${Part}><${WhatIf} view=${view} /><//>
       <${Part}><${Models} view=${view} /><//>
+      <${Part}><${ModelCards} me=${me} /><//>
       <${Part}><${Health} view=${view} /><//>
       <${Part}><${Alarms} me=${me} news=${seq} /><//>
       <${Part}><${Access} me=${me} /><//>
