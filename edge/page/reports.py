@@ -26,6 +26,7 @@ Json = dict[str, Any]
 REPORTS_MAX = 30  # shown, the newest ones; the nights keep as many
 DOCUMENT_MAX = 1 << 20  # bytes; the values of it take ten times as much
 HTML_MAX = 8 << 20  # bytes
+FINDINGS_MAX = 3  # of where it disagrees; the whole report has more
 LOG_MAX = 4096  # bytes of a log's end
 TEXT_MAX = 600  # characters of a sentence
 HTML, LOG, TWIN, PROFILE = "report.html", "log.txt", "twin.yaml", "next_experiment.csv"
@@ -33,7 +34,7 @@ HTML, LOG, TWIN, PROFILE = "report.html", "log.txt", "twin.yaml", "next_experime
 
 def summaries(reports: Path) -> list[Json]:
     """Return the verdict of each report in a sentence, the newest first. Errors: DataError"""
-    found = [(_changed(reports / name), name) for name in names(reports)]
+    found = [(_change_utc(reports / name), name) for name in names(reports)]
     return [_summary(reports / name, utc) for utc, name in sorted(found, reverse=True)[:REPORTS_MAX]]
 
 
@@ -54,9 +55,9 @@ def details(report: Path) -> Json:
     document = _document(report)
     experiment = cast("Mapping[str, Any]", document["next_experiment"] or {})
     return {
-        **_summary(report, _changed(report)),
+        **_summary(report, _change_utc(report)),
         "meaning": _lines([*wording.meaning(document), *wording.cautions(document)]),
-        "where": _lines(wording.where_findings(document)),
+        "where": _lines(wording.where_findings(document)[:FINDINGS_MAX]),
         "figures": _figures(document),
         "effects": [_effect(effect) for effect in document["effects"]],
         "predicting": _lines(wording.predicting(document)),
@@ -121,7 +122,7 @@ def _document(report: Path) -> DiagnosisDocument:
 
 
 def _figures(document: DiagnosisDocument) -> list[list[str]]:
-    """Return for each role its words, errors before and after, noise floor [K], and the closed share."""
+    """Return a row for each role with an error: errors before and after, noise floor [K], closed share."""
     changed = wording.is_changed(document)
     return [
         _lines(
@@ -134,15 +135,16 @@ def _figures(document: DiagnosisDocument) -> list[list[str]]:
             ]
         )
         for role, words in wording.ROLES.items()
+        if wording.rmse_k(document, "before", role) is not None
     ]
 
 
 def _effect(effect: EffectEntry) -> Json:
     values = [wording.parameter_text(name, value) for name, value in effect["parameters"].items()]
-    evidence = f"Probability {probability(effect.get('probability'))}."
+    evidence = [*values, f"probability {probability(effect.get('probability'))}"]
     if rivals := effect["alternatives"]:
-        evidence += f" These data cannot tell it from {wording.join_names(rivals)}."
-    return {"text": plain(wording.gloss(effect), TEXT_MAX), "evidence": _lines([*values, evidence])}
+        evidence.append(f"these data cannot tell it from {wording.join_names(rivals)}")
+    return {"text": plain(wording.gloss(effect), TEXT_MAX), "evidence": _lines(evidence)}
 
 
 def _experiment(report: Path, experiment: Mapping[str, Any]) -> Json:
@@ -166,7 +168,7 @@ def _lines(texts: list[str]) -> list[str]:
     return [plain(text, TEXT_MAX) for text in texts]
 
 
-def _changed(report: Path) -> float:
+def _change_utc(report: Path) -> float:
     """Return when its diagnosis was written, or else its folder changed [s since 1970]."""
     for path in (report / FILE_NAME, report):
         try:

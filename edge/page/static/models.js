@@ -2,10 +2,11 @@
 
 import { html, useEffect, useRef, useState } from "./vendor/preact-htm.js";
 import { call } from "./api.js";
-import { Do, clock } from "./parts.js";
+import { Do } from "./parts.js";
 
 const LOOK_MS = 60000;
 const POLL_MS = 1000;
+const SHOWN = 5; // reports, until somebody asks for all
 const WAIT_MAX = 600; // polls: an adoption proves its models on a slow computer
 
 const order = (message) => call("POST", "/api/order", message);
@@ -49,7 +50,7 @@ function useAnswer(path, isSoon = () => false) {
   return { ...state, load };
 }
 
-const day = (utc) => new Date(1000 * utc).toLocaleDateString([], { day: "numeric", month: "short", year: "numeric" });
+const when = (time) => new Date(time).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 
 function Bundle({ bundle, found, may, done }) {
   const { version } = bundle;
@@ -58,7 +59,7 @@ function Bundle({ bundle, found, may, done }) {
   const question = `Make ${version} active? It takes the place of ${found.active} between two ticks and is on trial against it.`;
   return html`<li class=${isActive ? "in-use" : ""}><strong>${version}</strong> ${role && html`<em>${role}</em>`}
     ${bundle.problem ? html`<p class="error">It cannot be used: ${bundle.problem}</p>` : html`
-      <p class="quiet">${bundle.name}, made ${day(Date.parse(bundle.created_utc) / 1000)}. Models: ${bundle.models.join(", ")}${bundle.policies.length ? `; policies: ${bundle.policies.join(", ")}` : ""}.
+      <p class="quiet">${bundle.name}, made ${when(bundle.created_utc)}. Models: ${bundle.models.join(", ")}${bundle.policies.length ? `; policies: ${bundle.policies.join(", ")}` : ""}.
         ${bundle.adopted_from ? ` The models of ${bundle.adopted_from} with an adopted twin.` : ""}
         ${bundle.effects.length ? ` Effects of the twin: ${bundle.effects.join(", ")}.` : ""}</p>
       ${may && !isActive && html`<${Sure} words="Activate" question=${question} act=${() => carryOut({ do: "bundle", action: "activate", version }).then(done)} />`}`}
@@ -72,7 +73,7 @@ function Bundles({ answer, may }) {
     ${error && html`<p class="error">${error}</p>`}
     ${found?.problems.map((problem) => html`<p key=${problem} class="error">${problem}</p>`)}
     ${found && !found.bundles.length && html`<p class="quiet">${found.looking ? "The daemon looks at its bundles …" : "No bundle is installed."}</p>`}
-    <ul class="events">${found?.bundles.map((bundle) => html`<${Bundle} key=${bundle.version} bundle=${bundle} found=${found} may=${may} done=${load} />`)}</ul>
+    <ul class="items">${found?.bundles.map((bundle) => html`<${Bundle} key=${bundle.version} bundle=${bundle} found=${found} may=${may} done=${load} />`)}</ul>
     ${found?.judgement && html`<p class="quiet">The trial ${found.judgement.verdict}: ${found.judgement.why}.</p>`}
     ${found?.back_to && html`<p>A roll back leads to ${found.back_to}.</p>
       ${may && html`<${Sure} words="Roll back" question=${`Leave ${found.ordered} and make ${found.back_to} active again?`} act=${back} />`}`}
@@ -88,7 +89,7 @@ function Details({ name }) {
   const { found, error } = state;
   if (!found) return error ? html`<p class="error">${error}</p>` : html`<p class="quiet">Loading …</p>`;
   const { experiment } = found;
-  return html`${paragraphs([found.gap, ...found.meaning])}
+  return html`${paragraphs(found.meaning)}
     <table><thead><tr>${HEADS.map((head) => html`<th key=${head}>${head}</th>`)}</tr></thead>
       <tbody>${found.figures.map((row) => html`<tr key=${row[0]}>${row.map((cell, k) => (k ? html`<td>${cell}</td>` : html`<th>${cell}</th>`))}</tr>`)}</tbody></table>
     ${found.effects.map((effect) => html`<p key=${effect.text}><strong>${effect.text}</strong> ${effect.evidence.join("; ")}</p>`)}
@@ -104,11 +105,10 @@ function Report({ report, may, active, done }) {
   const [open, setOpen] = useState(false);
   const adopt = (how) => () => carryOut({ do: "adopt", report: report.name, how }).then(done);
   return html`<li><details onToggle=${(event) => setOpen(event.target.open)}>
-      <summary><time>${clock(report.utc, true)}, ${day(report.utc)}</time> ${report.headline || report.problem}</summary>
-      ${report.problem && html`<p class="error">${report.problem}</p>`}
+      <summary><time>${when(1000 * report.utc)}</time> ${report.headline || report.problem}</summary>
       ${open && !report.problem && html`<${Details} name=${report.name} />`}
       ${report.has_html && html`<p><a href=${`/api/diagnoses/${report.name}/report`} target="_blank" rel="noopener">The whole report, with pictures</a></p>`}</details>
-    <p class="quiet">${report.gap}</p>
+    ${report.gap && html`<p class="quiet">${report.gap}</p>`}
     ${may && report.has_twin && html`<div class="row">
       <${Sure} words="Adopt" question=${`Run the twin of ${report.name} beside ${active ?? "the active bundle"}? It is compared and decides nothing. A bundle that runs beside it now makes room.`} act=${adopt("shadow")} />
       <${Sure} words="Adopt and activate" question=${`Let the twin of ${report.name} take the place of ${active ?? "the active bundle"}? It is on trial against it.`} act=${adopt("activate")} /></div>`}
@@ -117,6 +117,7 @@ function Report({ report, may, active, done }) {
 
 function Diagnoses({ answer, models, may }) {
   const { found, error } = answer;
+  const [most, setMost] = useState(SHOWN);
   const done = () => Promise.all([answer.load(), models.load()]);
   const undo = models.found?.undo;
   return html`<section class="card" aria-label="Diagnosis"><h2>Diagnosis</h2>
@@ -124,7 +125,8 @@ function Diagnoses({ answer, models, may }) {
     ${undo && html`<p>${undo} has an adopted twin and ${undo === models.found.ordered ? "is active" : "runs beside the active bundle"}.</p>
       ${may && html`<${Sure} words="Undo" question=${`Take ${undo} back? The bundle before goes on; the report stays.`} act=${() => carryOut({ do: "bundle", action: "undo-adoption", version: undo }).then(done)} />`}`}
     ${found && !found.reports.length && html`<p class="quiet">No report yet. The setting drift.diagnose lets the rig look for missing effects at night.</p>`}
-    <ul class="events">${found?.reports.map((report) => html`<${Report} key=${report.name} report=${report} may=${may} active=${models.found?.active} done=${done} />`)}</ul>
+    <ul class="items">${found?.reports.slice(0, most).map((report) => html`<${Report} key=${report.name} report=${report} may=${may} active=${models.found?.active} done=${done} />`)}</ul>
+    ${found?.reports.length > most && html`<button onClick=${() => setMost(Infinity)}>All ${found.reports.length} reports</button>`}
   </section>`;
 }
 

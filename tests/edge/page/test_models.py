@@ -70,7 +70,7 @@ def rig(report: Path) -> Iterator[tuple[DaemonProcess, PageProcess]]:
 
 
 def models(client: Client) -> dict[str, Any]:
-    """What the daemon has, once it has looked."""
+    """Return the list of bundles, once the daemon has looked."""
     wait_for(lambda: not client.get("/api/models").json()["looking"])
     return dict(client.get("/api/models").json())
 

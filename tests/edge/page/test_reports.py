@@ -224,5 +224,14 @@ def test_the_newest_come_first_and_not_all_of_them(tmp_path: Path) -> None:
     assert (len(found), found[0], found[-1]) == (reports.REPORTS_MAX, "r34", "r05")
 
 
+def test_a_real_report_is_read() -> None:
+    cases = Path(__file__).parents[3] / "training" / "results" / "paper_case"
+    found = {each["name"]: each for each in reports.summaries(cases)}
+    assert found["interpolation"]["problem"] == ""
+    assert "wall_mass" in found["interpolation"]["headline"]
+    [train, test] = reports.details(cases / "interpolation")["figures"]
+    assert (train[0], test[0]) == ("training runs", "held-out test runs")
+
+
 def test_where_there_is_no_folder_there_is_no_report(tmp_path: Path) -> None:
     assert reports.summaries(tmp_path / "none") == []
