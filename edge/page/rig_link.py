@@ -54,10 +54,12 @@ class RigLink:
 
         reached : whether the daemon answered the last question; silent_s : since its last answer, null before
         the first; status : that answer; why : the newest tick's reasons; stop_waits : a stop that no daemon
-        has taken yet
+        has taken yet; at_s : by a clock that never goes back, for views that overtake each other on their way
         """
-        silent_s = time.monotonic() - self._heard_s
+        now_s = time.monotonic()
+        silent_s = now_s - self._heard_s
         return {
+            "at_s": round(now_s, 4),
             "reached": not self._error,
             "error": self._error,
             "silent_s": None if self._status is None else round(silent_s, 1),

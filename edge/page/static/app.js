@@ -60,16 +60,23 @@ function Part({ children }) {
   return error ? html`<section class="card"><p class="error">This part of the page failed: ${error.message}</p></section>` : children;
 }
 
+// Views come by two ways and may overtake each other. After a restart of the rig's computer their clock begins anew.
+const OVERTAKEN_S = 30;
+const newer = (found) => (held) => {
+  const ahead = held == null ? 0 : held.at_s - found.at_s;
+  return ahead > 0 && ahead < OVERTAKEN_S ? held : found;
+};
+
 function Rig({ me }) {
   const [view, setView] = useState(null);
   const [lost, setLost] = useState(null);
   const [picked, setPicked] = useState(null);
   useEffect(() => follow((found, error) => {
-    if (found) setView(found);
+    if (found) setView(newer(found));
     setLost(error ?? null);
     if (error?.status === 401) location.reload();
   }), []);
-  const done = () => call("GET", "/api/view").then(setView, () => {});
+  const done = () => call("GET", "/api/view").then((found) => setView(newer(found)), () => {});
   const bad = troubles(view, lost);
   const seq = view?.status?.tick?.seq;
   return html`

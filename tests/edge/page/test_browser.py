@@ -137,6 +137,34 @@ def test_a_profile_is_loaded_drawn_followed_paused_skipped_and_ended(rig, tmp_pa
         assert complaints(driver) == []
 
 
+ANSWER_WITH_AN_OLD_VIEW = """
+    const done = arguments[0], usual = window.fetch;
+    usual("/api/view").then((answer) => answer.text()).then((old) => {
+        window.fetch = (path, options) => path === "/api/view" ? Promise.resolve(new Response(old)) : usual(path, options);
+        done();
+    });
+"""
+WATCH_THE_MODE = """
+    window.seen = [];
+    const look = () => window.seen.push(document.querySelector("header .quiet").textContent);
+    new MutationObserver(look).observe(document.body, { subtree: true, childList: true, characterData: true });
+"""
+
+
+def test_a_view_that_comes_late_does_not_bring_back_what_was(rig) -> None:
+    daemon, page = rig
+    with browser(PHONE) as driver:
+        enter(driver, page, Role.OPERATE)
+        driver.execute_async_script(ANSWER_WITH_AN_OLD_VIEW)
+        tap(driver, "Fan only")
+        wait_for(lambda: driver.find_element(By.CSS_SELECTOR, "header .quiet").text == "fan_only")
+        driver.execute_script(WATCH_THE_MODE)
+        tap(driver, "+")
+        tap(driver, "Set")
+        wait_for(lambda: "the reference was set to" in text(driver))
+        assert set(driver.execute_script("return window.seen")) == {"fan_only"}
+
+
 def test_the_keyboard_alone_reaches_the_stop(rig, board: VirtualBoard) -> None:
     _, page = rig
     with browser() as driver:

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 from bundles import Workshop
-from bench.support.page_process import Client, PageProcess, page_of
 from test_browser import complaints, enter, tap, text
 
 from bench.support.broker import wait_for
 from bench.support.browser import PHONE, browser
 from bench.support.daemon_process import DaemonProcess
+from bench.support.page_process import Client, PageProcess, page_of
 from bench.support.simulated_runs import BOX, simulate, twin_file
 from bench.support.virtual_board import virtual_board
 from edge.__main__ import main

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 from diagnosis_examples import STORIES
-from bench.support.page_process import Client, PageProcess, page_of
 from selenium.webdriver.common.by import By
 
 from bench.support.broker import wait_for
 from bench.support.browser import browser
+from bench.support.page_process import Client, PageProcess, page_of
 from edge.core.errors import DataError
 from edge.diagnosis.diagnosis_file import write_json
 from edge.diagnosis.report.page import write_report
