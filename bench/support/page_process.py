@@ -11,6 +11,8 @@ from typing import Any
 
 import requests
 import yaml
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webdriver import WebDriver
 
 from bench.support.broker import free_port, wait_for
 from bench.support.daemon_process import ROOT, configuration
@@ -124,6 +126,16 @@ def page_of(folder: Path, sections: Mapping[str, Any] | None = None, **page: Any
         yield running
     finally:
         running.kill()
+
+
+def open_page(
+    driver: WebDriver, page: PageProcess, role: Role = Role.ADMIN, name: str = "Ann", group: str = "control"
+) -> None:
+    """Enter by a link and open a group of cards: control, twin or rig."""
+    driver.get(f"{page.base}/#link={page.access.make_link(role, name, DAY_S)}")
+    wait_for(lambda: driver.find_elements(By.TAG_NAME, "nav"), "the page")
+    assert "link=" not in driver.current_url
+    driver.execute_script(f"document.querySelector('nav a[href=\\'#{group}\\']').click()")
 
 
 def cookie_of(client: Client) -> Cookie:

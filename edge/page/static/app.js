@@ -1,6 +1,6 @@
 // The page: who looks, what the rig does, and the parts below each other.
 
-import { html, render, useEffect, useErrorBoundary, useMemo, useState } from "./vendor/preact-htm.js";
+import { html, render, useEffect, useErrorBoundary, useMemo, useRef, useState } from "./vendor/preact-htm.js";
 import { call, follow } from "./api.js";
 import { Alarms } from "./alarms.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
@@ -60,6 +60,26 @@ function Part({ children }) {
   return error ? html`<section class="card"><p class="error">This part of the page failed: ${error.message}</p></section>` : children;
 }
 
+const GROUPS = { control: "Control", twin: "Twin and models", rig: "The rig" };
+
+// The group of cards that the address names. One that was opened stays, so that nothing half typed is lost.
+function useGroup() {
+  const named = () => (location.hash.slice(1) in GROUPS ? location.hash.slice(1) : "control");
+  const [shown, setShown] = useState(named);
+  const opened = useRef(new Set());
+  opened.current.add(shown);
+  useEffect(() => {
+    const look = () => setShown(named());
+    addEventListener("hashchange", look);
+    return () => removeEventListener("hashchange", look);
+  }, []);
+  return { shown, opened: opened.current };
+}
+
+function Group({ name, group, children }) {
+  return group.opened.has(name) && html`<div class="group" hidden=${name !== group.shown}>${children.map((child) => html`<${Part}>${child}<//>`)}</div>`;
+}
+
 // Views come by two ways and may overtake each other. After a restart of the rig's computer their clock begins anew.
 const OVERTAKEN_S = 30;
 const newer = (found) => (held) => {
@@ -79,23 +99,32 @@ function Rig({ me }) {
   const done = () => call("GET", "/api/view").then((found) => setView(newer(found)), () => {});
   const bad = troubles(view, lost);
   const seq = view?.status?.tick?.seq;
+  const group = useGroup();
+  const pick = (utc) => { setPicked(utc); location.hash = "control"; };
   return html`
     <header><h1>${me.rig}</h1><span class="quiet">${view?.status?.operation.mode ?? ""}</span></header>
     <div aria-live="assertive">${bad.map(([kind, text]) => html`<p key=${text} class=${`trouble ${kind}`}>${text}</p>`)}</div>
     <main>
       <${Part}><${Now} view=${view} lost=${lost} /><//>
-      <${Part}><${Course} view=${view} pick=${setPicked} /><//>
-      <${Part}><${Why} view=${view} picked=${picked} clear=${() => setPicked(null)} /><//>
-      <${Part}><${Controls} view=${view} me=${me} done=${done} /><//>
-      <${Part}><${Profile} view=${view} me=${me} done=${done} /><//>
-      <${Part}><${Ask} me=${me} done=${done} /><//>
-      <${Part}><${Events} me=${me} news=${seq} /><//>
-      <${Part}><${WhatIf} view=${view} /><//>
-      <${Part}><${Models} view=${view} /><//>
-      <${Part}><${ModelCards} me=${me} /><//>
-      <${Part}><${Health} view=${view} /><//>
-      <${Part}><${Alarms} me=${me} news=${seq} /><//>
-      <${Part}><${Access} me=${me} /><//>
+      <${Part}><${Course} view=${view} pick=${pick} /><//>
+      <nav class="wide" aria-label="Parts of the page">${Object.entries(GROUPS).map(([name, words]) => html`<a key=${name} href=${`#${name}`} aria-current=${name === group.shown ? "page" : null}>${words}</a>`)}</nav>
+      <${Group} name="control" group=${group}>
+        <${Why} view=${view} picked=${picked} clear=${() => setPicked(null)} />
+        <${Controls} view=${view} me=${me} done=${done} />
+        <${Profile} view=${view} me=${me} done=${done} />
+        <${Ask} me=${me} done=${done} />
+        <${Events} me=${me} news=${seq} />
+      <//>
+      <${Group} name="twin" group=${group}>
+        <${WhatIf} view=${view} />
+        <${Models} view=${view} />
+        <${ModelCards} me=${me} />
+      <//>
+      <${Group} name="rig" group=${group}>
+        <${Health} view=${view} />
+        <${Alarms} me=${me} news=${seq} />
+        <${Access} me=${me} />
+      <//>
     </main>
     <${Stop} view=${view} me=${me} done=${done} />`;
 }

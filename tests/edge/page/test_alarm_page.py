@@ -16,9 +16,9 @@ from selenium.webdriver.common.by import By
 from bench.support.broker import free_port, wait_for
 from bench.support.browser import PHONE, browser
 from bench.support.daemon_process import ROOT, DaemonProcess
-from bench.support.page_process import page_of
+from bench.support.page_process import open_page, page_of
 from bench.support.virtual_board import VirtualBoard
-from edge.page.access import DAY_S, Role
+from edge.page.access import Role
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]
@@ -142,7 +142,7 @@ def test_the_card_tests_and_acknowledges_on_a_phone(
         page_of(folder, {"alarms": settings(sink)}) as page,
         browser(PHONE) as driver,
     ):
-        driver.get(f"{page.base}/#link={page.access.make_link(Role.ADMIN, 'Ann', DAY_S)}")
+        open_page(driver, page, group="rig")
 
         def card() -> str:
             found = driver.find_elements(By.CSS_SELECTOR, "[aria-label='Alarms by message']")

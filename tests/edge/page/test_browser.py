@@ -16,10 +16,10 @@ from selenium.webdriver.remote.webdriver import WebDriver
 from bench.support.broker import wait_for
 from bench.support.browser import DESK, PHONE, browser
 from bench.support.daemon_process import DaemonProcess
-from bench.support.page_process import PageProcess, page_of
+from bench.support.page_process import PageProcess, open_page, page_of
 from bench.support.virtual_board import VirtualBoard
 from edge.core.hard_limits import LEASE_S
-from edge.page.access import DAY_S, Role
+from edge.page.access import Role
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]
@@ -41,10 +41,11 @@ def tap(driver: WebDriver, words: str) -> None:
     assert driver.execute_script(found, words), (words, text(driver))
 
 
-def enter(driver: WebDriver, page: PageProcess, role: Role, name: str = "Ann") -> None:
-    driver.get(f"{page.base}/#link={page.access.make_link(role, name, DAY_S)}")
+def enter(
+    driver: WebDriver, page: PageProcess, role: Role, name: str = "Ann", group: str = "control"
+) -> None:
+    open_page(driver, page, role, name, group)
     wait_for(lambda: "confirmed by the board" in text(driver))
-    assert "link=" not in driver.current_url
 
 
 def complaints(driver: WebDriver) -> list[str]:
@@ -82,7 +83,11 @@ def test_a_person_sees_operates_and_nothing_is_in_the_way_of_a_screen_reader(rig
         wait_for(lambda: daemon.ask("status")["operation"]["mode"] == "fan_only")
         wait_for(lambda: not heats(board))
         wait_for(lambda: "the mode was set to fan_only, by Ann (page)" in text(driver))
-        assert serious_findings(driver) == []
+        for link in driver.find_elements(By.CSS_SELECTOR, "nav a"):
+            driver.execute_script("arguments[0].click()", link)
+            wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, ".group:not([hidden]) h2"))
+            assert serious_findings(driver) == []
+            assert driver.execute_script("return document.documentElement.scrollWidth") <= size[0]
         assert complaints(driver) == []
 
 
@@ -140,19 +145,22 @@ def test_a_profile_is_loaded_drawn_followed_paused_skipped_and_ended(rig, tmp_pa
 ANSWER_WITH_AN_OLD_VIEW = """
     const done = arguments[0], usual = window.fetch;
     usual("/api/view").then((answer) => answer.text()).then((old) => {
-        window.fetch = (path, options) => path === "/api/view" ? Promise.resolve(new Response(old)) : usual(path, options);
+        const answer = (path, options) =>
+            path === "/api/view" ? Promise.resolve(new Response(old)) : usual(path, options);
+        window.fetch = answer;
         done();
     });
 """
 WATCH_THE_MODE = """
     window.seen = [];
     const look = () => window.seen.push(document.querySelector("header .quiet").textContent);
-    new MutationObserver(look).observe(document.body, { subtree: true, childList: true, characterData: true });
+    const all = { subtree: true, childList: true, characterData: true };
+    new MutationObserver(look).observe(document.body, all);
 """
 
 
 def test_a_view_that_comes_late_does_not_bring_back_what_was(rig) -> None:
-    daemon, page = rig
+    _, page = rig
     with browser(PHONE) as driver:
         enter(driver, page, Role.OPERATE)
         driver.execute_async_script(ANSWER_WITH_AN_OLD_VIEW)

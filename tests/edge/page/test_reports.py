@@ -13,12 +13,12 @@ from selenium.webdriver.common.by import By
 
 from bench.support.broker import wait_for
 from bench.support.browser import browser
-from bench.support.page_process import Client, PageProcess, page_of
+from bench.support.page_process import Client, PageProcess, open_page, page_of
 from edge.core.errors import DataError
 from edge.diagnosis.diagnosis_file import write_json
 from edge.diagnosis.report.page import write_report
 from edge.page import reports
-from edge.page.access import DAY_S, Role
+from edge.page.access import Role
 from edge.twin.twin_file import TwinFile, write_twin_file
 
 pytestmark = pytest.mark.slow
@@ -116,7 +116,7 @@ def test_a_report_is_served_so_that_nothing_in_it_can_act(guest: Client) -> None
 
 def test_a_hostile_report_does_nothing_in_a_browser(page: PageProcess) -> None:
     with browser() as driver:
-        driver.get(f"{page.base}/#link={page.access.make_link(Role.ADMIN, 'Ann', DAY_S)}")
+        open_page(driver, page, group="twin")
         wait_for(lambda: "Diagnosis" in driver.find_element(By.TAG_NAME, "body").text)
         wait_for(lambda: EVIL in driver.find_element(By.CSS_SELECTOR, "[aria-label=Diagnosis]").text)
         assert driver.title == "Greenhouse"

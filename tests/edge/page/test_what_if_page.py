@@ -16,10 +16,10 @@ from selenium.webdriver.common.by import By
 
 from bench.support.broker import wait_for
 from bench.support.browser import PHONE, browser
-from bench.support.page_process import Client, PageProcess, page_of
+from bench.support.page_process import Client, PageProcess, open_page, page_of
 from edge.core.errors import RequestError
 from edge.page import questions
-from edge.page.access import DAY_S, Role
+from edge.page.access import Role
 from edge.page.answers import Json, NotAllowed
 from edge.page.questions import BURST, KEEP_MAX, TwinQuestions, options, run_command
 
@@ -134,9 +134,8 @@ def test_without_a_session_nobody_asks(page: PageProcess) -> None:
 
 @pytest.mark.slow
 def test_a_person_with_a_phone_asks_and_a_screen_reader_hears_the_answer(page: PageProcess) -> None:
-    link = page.access.make_link(Role.VIEW, "guest", DAY_S)
     with browser(PHONE) as driver:
-        driver.get(f"{page.base}/#link={link}")
+        open_page(driver, page, Role.VIEW, "guest", "twin")
         wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, CARD))
         card = driver.find_element(By.CSS_SELECTOR, CARD)
         ask = card.find_element(By.TAG_NAME, "button")
