@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webdriver import WebDriver
 
 from bench.support.broker import wait_for
 from bench.support.browser import DESK, PHONE, browser
@@ -23,13 +24,24 @@ SETTLE_S = 2.0  # for the last answers and the chart
 
 
 def take(address: str, folder: Path) -> None:
-    """Write the pictures of a page."""
+    """Write a picture of each group of cards: `page_360.png`, `page_twin_360.png` and so on."""
     for size, is_dark in ((PHONE, False), (DESK, True)):
         with browser(size, is_dark) as driver:
             driver.get(address)
             wait_for(lambda: "confirmed by the board" in driver.find_element(By.TAG_NAME, "body").text)
             time.sleep(SETTLE_S)
-            driver.save_screenshot(str(folder / f"page_{size[0]}.png"))
+            save(driver, folder / f"page_{size[0]}.png")
+            for group in ("twin", "rig"):
+                driver.execute_script("location.hash = arguments[0]", group)
+                time.sleep(SETTLE_S)
+                bar = driver.find_element(By.TAG_NAME, "nav")
+                driver.execute_script("arguments[0].scrollIntoView()", bar)
+                save(driver, folder / f"page_{group}_{size[0]}.png")
+
+
+def save(driver: WebDriver, path: Path) -> None:
+    """Write what the window shows. Errors: OSError, where Selenium says nothing"""
+    path.write_bytes(driver.get_screenshot_as_png())
 
 
 def main() -> int:

@@ -60,7 +60,7 @@ function Part({ children }) {
   return error ? html`<section class="card"><p class="error">This part of the page failed: ${error.message}</p></section>` : children;
 }
 
-const GROUPS = { control: "Control", twin: "Twin and models", rig: "The rig" };
+const GROUPS = { control: "Control", twin: "Models", rig: "The rig" };
 
 // The group of cards that the address names. One that was opened stays, so that nothing half typed is lost.
 function useGroup() {
@@ -118,7 +118,7 @@ function Rig({ me }) {
       <${Group} name="twin" group=${group}>
         <${WhatIf} view=${view} />
         <${Models} view=${view} />
-        <${ModelCards} me=${me} />
+        <${ModelCards} me=${me} newest=${view?.status?.tick?.utc} />
       <//>
       <${Group} name="rig" group=${group}>
         <${Health} view=${view} />

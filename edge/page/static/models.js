@@ -133,9 +133,11 @@ function Diagnoses({ answer, models, may }) {
 // A time as the browser's field has it, in local time.
 const field = (ms) => new Date(ms - 60000 * new Date(ms).getTimezoneOffset()).toISOString().slice(0, 16);
 
-function Export() {
-  const [first, setFirst] = useState(() => field(Date.now() - 864e5));
-  const [last, setLast] = useState(() => field(Date.now()));
+// Until somebody says otherwise, the day before the newest tick; a demo's clock is not the browser's.
+function Export({ newest }) {
+  const end = newest == null ? Date.now() : 1000 * newest;
+  const [first = field(end - 864e5), setFirst] = useState();
+  const [last = field(end + 60000), setLast] = useState();
   const save = async () => {
     const asked = `from_utc=${Date.parse(first) / 1000}&to_utc=${Date.parse(last) / 1000}`;
     const answer = await fetch(`/api/export?${asked}`, { credentials: "same-origin" });
@@ -154,11 +156,11 @@ function Export() {
   </section>`;
 }
 
-export function ModelCards({ me }) {
+export function ModelCards({ me, newest }) {
   const models = useAnswer("/api/models", (found) => found?.looking);
   const diagnoses = useAnswer("/api/diagnoses");
   const may = me.may.includes("bundle") && me.may.includes("adopt");
   return html`<${Bundles} answer=${models} may=${may} />
     <${Diagnoses} answer=${diagnoses} models=${models} may=${may} />
-    <${Export} />`;
+    <${Export} newest=${newest} />`;
 }

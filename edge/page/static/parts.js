@@ -251,7 +251,7 @@ export function Access({ me }) {
   };
   const leave = () => call("DELETE", "/api/session").then(() => location.reload());
   return html`<section class="card" aria-label="Access"><h2>Access</h2>
-    <p>You are ${me.name}, and may ${me.role}.</p>
+    <p>You are ${me.name}. Your role: ${me.role}.</p>
     ${me.role === "admin" && html`<div class="row"><${Do} act=${make("view", 7)}>Link to view for a week<//><${Do} act=${make("operate", 0.05)}>Link for one who operates<//></div>
       ${link && html`<p><input readonly aria-label="link" value=${link} onFocus=${(event) => event.target.select()} /></p>`}
       <ul>${rows.map((row) => html`<li key=${row.session}>${row.name} (${row.role}), seen ${clock(row.seen_utc, true)}, ${row.browser.slice(0, 40)}
