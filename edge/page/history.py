@@ -4,6 +4,7 @@ Plain SQL on a connection that can't write. Long spans are brought down to few p
 year has half a million ticks, and the answer has to come within a blink.
 """
 
+import shutil
 import sqlite3
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -60,7 +61,10 @@ def course(path: Path, first_utc: float, last_utc: float, points: int) -> Json:
 
 
 def span(path: Path) -> Json:
-    """Return the times of the first and the newest record, null without any. Errors: DataError"""
+    """Return the times of the first and the newest record, null without any, and the disk's room [MB].
+
+    Errors: DataError
+    """
     with reading(path) as db:
         newest = db.execute("SELECT max(utc) FROM ticks WHERE seq > 0").fetchone()[0]
         oldest = [
@@ -68,7 +72,8 @@ def span(path: Path) -> Json:
             for table, column in (("ticks", "utc"), ("ten_minutes", "start_utc"))
         ]
     known = [utc for utc in oldest if utc is not None]
-    return {"first_utc": min(known, default=None), "newest_utc": newest}
+    free_mb = round(shutil.disk_usage(path).free / 1e6)
+    return {"first_utc": min(known, default=None), "newest_utc": newest, "free_mb": free_mb}
 
 
 def events(path: Path, before_utc: float | None, severities: tuple[str, ...], most: int) -> list[Json]:

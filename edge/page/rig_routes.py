@@ -64,7 +64,7 @@ async def course(page: Page, request: Request, visitor: Visitor) -> Response:
 
 
 async def span(page: Page, request: Request, visitor: Visitor) -> Response:
-    """Return how far the history goes back."""
+    """Return how far the history goes back, and how much room the disk has for more."""
     return answer(ok=True, **await in_thread(history.span, page.history))
 
 

@@ -52,7 +52,13 @@ async def me(page: Page, request: Request, visitor: Visitor) -> Response:
 
 
 def _rig(settings: Settings) -> Json:
-    return {"rig": settings.mqtt.rig, "controllers": settings.controllers, "version": __version__}
+    mqtt = settings.mqtt
+    return {
+        "rig": mqtt.rig,
+        "broker": f"{mqtt.host}:{mqtt.port}" if mqtt.enabled else "",
+        "controllers": settings.controllers,
+        "version": __version__,
+    }
 
 
 def _me(visitor: Visitor) -> Json:

@@ -152,6 +152,10 @@ class Conditions:
         """Return whether `key` holds since an earlier `set`."""
         return key in self._since
 
+    def standing(self) -> tuple[str, ...]:
+        """Keys that hold now, the oldest first."""
+        return tuple(self._since)
+
     def take_events(self) -> list[Event]:
         """Beginnings and ends since the last call."""
         events, self._events = self._events, []

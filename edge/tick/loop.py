@@ -412,6 +412,7 @@ class Loop:
             board.echo,
             board.link_up,
             dict(board.statistics),
+            self._conditions.standing(),
         )
 
     def _order(self, request: Request) -> str:

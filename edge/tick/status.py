@@ -6,6 +6,7 @@ from typing import Any
 
 from edge.core.messages import Echo, TickRecord
 from edge.formats.tick_json import drift_json, echo_json, number, skill_json, tick_json
+from edge.tick.faults import FAILURES
 from edge.tick.orders import Operation
 from edge.tick.orders_json import to_dict
 
@@ -23,6 +24,7 @@ class LoopStatus:
     echo: Echo | None
     link_up: bool
     line: Mapping[str, int]
+    conditions: tuple[str, ...] = ()  # rows of the failure table that hold
 
 
 def status_json(status: LoopStatus) -> dict[str, Any]:
@@ -39,6 +41,7 @@ def status_json(status: LoopStatus) -> dict[str, Any]:
         "echo": echo_json(status.echo),
         "link_up": int(status.link_up),
         "line": dict(status.line),
+        "conditions": {key: FAILURES[key].what for key in status.conditions},
     }
 
 

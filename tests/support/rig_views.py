@@ -14,6 +14,7 @@ def view(
         "tick": tick,
         "echo": {"tripped": 0, "trip_cause": ""},
         "link_up": 1,
+        "conditions": {},
     } | status
     return {
         "reached": reached,

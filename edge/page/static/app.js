@@ -121,7 +121,7 @@ function Rig({ me }) {
         <${ModelCards} me=${me} newest=${view?.status?.tick?.utc} />
       <//>
       <${Group} name="rig" group=${group}>
-        <${Health} view=${view} />
+        <${Health} view=${view} me=${me} />
         <${Alarms} me=${me} news=${seq} />
         <${Access} me=${me} />
       <//>

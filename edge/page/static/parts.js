@@ -226,9 +226,16 @@ export function Models({ view }) {
   </section>`;
 }
 
-export function Health({ view }) {
+const room = (free) => (free == null ? "–" : `${free < 10000 ? `${free} MB` : `${Math.round(free / 1000)} GB`} free`);
+
+export function Health({ view, me }) {
+  const [span, setSpan] = useState({});
   const status = view?.status;
+  const hour = Math.floor((status?.tick?.utc ?? 0) / 3600);
+  useEffect(() => { call("GET", "/api/span").then(setSpan, (failed) => setSpan({ error: failed.message })); }, [hour]);
   if (!status) return null;
+  const broken = status.conditions["telemetry.offline"] ?? status.conditions["telemetry.flooded"];
+  const others = Object.entries(status.conditions).filter(([key]) => !key.startsWith("telemetry."));
   const bad = Object.entries(status.tick?.readings ?? {}).filter(([, one]) => one.quality !== "good");
   const line = status.line ?? {};
   const lost = (line.bad_crc ?? 0) + (line.given_up ?? 0) + (line.bad_cobs ?? 0);
@@ -236,6 +243,10 @@ export function Health({ view }) {
     <dt>Daemon</dt><dd>${view.reached ? "answers" : "silent"}</dd>
     <dt>Board</dt><dd>${status.link_up ? "answers" : "silent"}, ${lost} of ${line.frames ?? 0} frames lost</dd>
     <dt>Sensors</dt><dd>${bad.length ? bad.map(([key, one]) => `${key}: ${one.quality}`).join(", ") : "all good"}</dd>
+    <dt>Broker</dt><dd>${broken ?? (me.broker ? `${me.broker} answers` : "none is configured")}</dd>
+    <dt>History</dt><dd>${span.error ?? `since ${clock(span.first_utc, true)}; ${room(span.free_mb)}`}</dd>
+    <dt>Twin</dt><dd>${status.drift?.text ?? "is not watched"}</dd>
+    ${others.length > 0 && html`<dt>Now wrong</dt><dd>${others.map(([, what]) => what).join("; ")}</dd>`}
     <dt>Tick</dt><dd>${status.tick ? `${status.tick.seq}, ${status.tick.late_s.toFixed(2)} s late, decided in ${Math.round(status.tick.decide_ms)} ms` : "none yet"}</dd>
   </dl></section>`;
 }

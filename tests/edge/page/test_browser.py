@@ -1,6 +1,7 @@
 """The page in a real browser, on a phone and on a desk, against a daemon with a board in real time."""
 
 import os
+import re
 import signal
 import time
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
 
-from bench.support.broker import wait_for
+from bench.support.broker import free_port, wait_for
 from bench.support.browser import DESK, PHONE, browser
 from bench.support.daemon_process import DaemonProcess
 from bench.support.page_process import PageProcess, open_page, page_of
@@ -89,6 +90,18 @@ def test_a_person_sees_operates_and_nothing_is_in_the_way_of_a_screen_reader(rig
             assert serious_findings(driver) == []
             assert driver.execute_script("return document.documentElement.scrollWidth") <= size[0]
         assert complaints(driver) == []
+
+
+def test_health_names_the_broker_that_is_away(folder: Path, board: VirtualBoard) -> None:
+    port = free_port()
+    mqtt = {"mqtt": {"enabled": True, "host": "127.0.0.1", "port": port}}
+    with DaemonProcess(folder, port), page_of(folder, mqtt) as page, browser(PHONE) as driver:
+        enter(driver, page, Role.VIEW, group="rig")
+        wait_for(lambda: "Broker\nthe broker is gone" in text(driver))
+        assert re.search(r"History\nsince .* free", text(driver))
+    with DaemonProcess(folder), page_of(folder) as page, browser(PHONE) as driver:
+        enter(driver, page, Role.VIEW, group="rig")
+        wait_for(lambda: "Broker\nnone is configured" in text(driver))
 
 
 def profile_card(driver: WebDriver) -> str:

@@ -23,6 +23,7 @@ def path(tmp_path: Path) -> Path:
 
 def test_a_course_has_every_tick_where_there_is_room_and_means_where_there_is_not(path: Path) -> None:
     first, last = span(path)["first_utc"], span(path)["newest_utc"]
+    assert span(path)["free_mb"] > 0
     whole = course(path, first, last + 1.0, 1000)
     assert tuple(whole) == COLUMNS
     assert len(whole["utc"]) == 30
