@@ -76,7 +76,8 @@ fill_system() {
 
 fill_control() {
     mkdir "$root/DEBIAN"
-    size=$(du -sk --apparent-size "$root" | cut -f 1)
+    # As dpkg-gencontrol counts: a folder is 1 kB, whatever the file system makes of it.
+    size=$(find "$root" -printf '%y %s\n' | awk '{n += $1 ~ /[fl]/ ? int(($2 + 1023) / 1024) : 1} END {print n}')
     sed "s/@VERSION@/$version/; s/@ARCH@/$1/; s/@SIZE@/$size/" "$here/control" >"$root/DEBIAN/control"
     echo /etc/greenhouse/edge.yaml >"$root/DEBIAN/conffiles"
     install -m 0755 "$here/preinst" "$here/postinst" "$here/prerm" "$here/postrm" "$root/DEBIAN/"
