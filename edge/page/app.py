@@ -21,6 +21,7 @@ from edge.page.access import Access, Role, Visitor
 from edge.page.alarms import alarm_routes
 from edge.page.alarms.alarm_desk import AlarmDesk
 from edge.page.answers import NotAllowed, answer
+from edge.page.courses import Courses
 from edge.page.guard import Guard, own_names
 from edge.page.page_state import Page
 from edge.page.questions import TwinQuestions
@@ -64,7 +65,8 @@ def make_app(settings: Settings, file: str = "") -> Guard:
     """Return the application of a rig. file : of the settings, "" for every default"""
     rig = RigLink(Path(settings.control_socket.path), StopFile(settings.stop_folder))
     access = Access.of(settings.page.folder)
-    page = Page(settings, access, rig, AlarmDesk(settings, access, rig), TwinQuestions(file))
+    courses = Courses(Path(settings.history.path))
+    page = Page(settings, access, rig, AlarmDesk(settings, access, rig), TwinQuestions(file), courses)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:

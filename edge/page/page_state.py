@@ -15,6 +15,7 @@ from edge.core.event_log import Allowance
 from edge.page.access import Access, Visitor
 from edge.page.alarms.alarm_desk import AlarmDesk
 from edge.page.answers import NotAllowed, in_thread
+from edge.page.courses import Courses
 from edge.page.questions import TwinQuestions
 from edge.page.rig_link import RigLink
 
@@ -34,6 +35,7 @@ class Page:
     rig: RigLink
     alarms: AlarmDesk
     questions: TwinQuestions
+    courses: Courses
     alarm_tests: Allowance = field(default_factory=lambda: Allowance(TESTS, 1.0 / TESTS_S, time.monotonic))
     tries: OrderedDict[str, Allowance] = field(default_factory=OrderedDict)
     all_tries: Allowance = field(
@@ -42,6 +44,7 @@ class Page:
     passwords: anyio.CapacityLimiter = field(  # each takes 16 MB: thirty at once would end the page
         default_factory=lambda: anyio.CapacityLimiter(1)
     )
+    course_places: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(1))
     streams: dict[int, list[asyncio.Event]] = field(default_factory=dict)  # of each session, the oldest first
     is_exporting: bool = False  # the history is on its way to somebody
 

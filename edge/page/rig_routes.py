@@ -60,7 +60,10 @@ async def course(page: Page, request: Request, visitor: Visitor) -> Response:
     given = request.query_params
     first_utc, last_utc = number(given, "from_utc"), number(given, "to_utc")
     points = int(number(given, "points", 600))
-    return answer(ok=True, columns=await in_thread(history.course, page.history, first_utc, last_utc, points))
+    read = page.courses.between
+    return answer(
+        ok=True, columns=await in_thread(read, first_utc, last_utc, points, places=page.course_places)
+    )
 
 
 async def span(page: Page, request: Request, visitor: Visitor) -> Response:
