@@ -184,6 +184,7 @@ def test_all_that_is_said_of_a_silent_board_is_one_alarm_that_the_view_ends() ->
     # The history's word comes up to a tick late: it ends nothing that the view knows better.
     look(book, Finding(BOARD, True, "silent"), events=[event("board.link_down.over", 9, is_alarm=False)])
     assert BOARD in book.open_causes()
+    assert len(book.alarms) == 1
 
 
 def test_a_condition_ends_by_its_event_or_by_a_daemon_that_does_not_say_it_any_more() -> None:

@@ -153,6 +153,7 @@ def test_what_is_not_taken_is_said_and_a_redirect_is_not_followed(status, lastin
         assert elsewhere.heard == []
     assert f"127.0.0.1 answers {status}" in str(error)
     assert error.lasting is lasting
+    assert ("a redirect, which is not followed" in str(error)) is (status < 400)
     assert not any(word in str(error) for word in ("t0ps3cret", "hidden", TOKEN))
 
 
