@@ -38,6 +38,8 @@ BENCHES = {
     "clairvoyant": Bench(("--references", "tuning_1", "--minutes", "10")),
     "diagnosis_memory": Bench(("--days", "0.5")),
     "history_year": Bench(("--days", "3", "--hours", "0.5", "--file", "out/bench/history_days.db")),
+    "page_attack": Bench(("--seconds", "5", "--rounds", "1")),
+    "page_cost": Bench(("--days", "40", "--repeats", "1", "--ticks", "20")),
     "attack": Bench(("--share", "0.01")),
     "dqn": Bench(("--share", "0.002", "--seeds", "1", "--steps", "2000")),
     "drift_alarms": Bench(("--paths", "5", "--days", "6", "--boxes", "1")),

@@ -19,6 +19,8 @@ MEASURED: Mapping[str, tuple[str, ...]] = {  # bench -> the code that its figure
     "daemon": ("edge", "firmware_protocol", "bench/daemon.py", "bench/default_daemon.py"),
     "mpc": ("edge/controllers", "edge/models/arx.py", "bench/mpc.py", "bench/two_node_box.py"),
     "outbox": ("edge/mqtt", "edge/storage", "edge/formats/tick_json.py", "bench/outbox.py"),
+    "page_attack": ("edge/page", "edge/sockets", "edge/tick/loop.py", "bench/page_attack.py"),
+    "page_cost": ("edge/page", "edge/storage/run_rows.py", "edge/storage/schema.py", "bench/page_cost.py"),
     "real_truth": ("edge/twin", "edge/diagnosis", "bench/real_truth"),
     "rollout": ("edge/models", "edge/twin", "bench/rollout.py"),
     "twin": ("edge/twin", "bench/twin.py"),

@@ -51,16 +51,15 @@ def recorded_ticks(hours: float) -> list[TickRecord]:
     return lab.history
 
 
-def year_of(template: Sequence[TickRecord], days: float) -> Iterator[list[TickRecord]]:
+def year_of(template: Sequence[TickRecord], days: float, first_seq: int = 1) -> Iterator[list[TickRecord]]:
     """Yield the template again and again, in batches."""
-    ticks = round(days * DAY_S / STEP_S)
-    for first in range(1, ticks + 1, BATCH):
-        yield [
-            _move(template[seq % len(template)], seq) for seq in range(first, min(first + BATCH, ticks + 1))
-        ]
+    end = first_seq + round(days * DAY_S / STEP_S)
+    for first in range(first_seq, end, BATCH):
+        yield [move(template[seq % len(template)], seq) for seq in range(first, min(first + BATCH, end))]
 
 
-def _move(record: TickRecord, seq: int) -> TickRecord:
+def move(record: TickRecord, seq: int) -> TickRecord:
+    """Return a tick as number `seq` of the year."""
     utc = FIRST_UTC + STEP_S * seq
     events = tuple(replace(event, utc=utc) for event in record.events)
     if seq % EVENT_EVERY_TICKS < 2:
@@ -69,8 +68,8 @@ def _move(record: TickRecord, seq: int) -> TickRecord:
     return replace(record, seq=seq, utc=utc, time_s=STEP_S * seq, events=events)
 
 
-def build(path: Path, template: Sequence[TickRecord], days: float) -> None:
-    """Write the year as a daemon before the indexes would have left it."""
+def build(path: Path, template: Sequence[TickRecord], days: float, first_seq: int = 1) -> None:
+    """Write the year, or its days from a tick on, as a daemon before the indexes would have left it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     for suffix in ("", "-wal", "-shm"):
         Path(f"{path}{suffix}").unlink(missing_ok=True)
@@ -84,7 +83,7 @@ def build(path: Path, template: Sequence[TickRecord], days: float) -> None:
             " VALUES (1, 1, ?, ?, '', 0)",
             (FIRST_UTC, FIRST_UTC + days * DAY_S),
         )
-        for records in year_of(template, days):
+        for records in year_of(template, days, first_seq):
             connection.execute("BEGIN")
             insert_ticks(connection, records, session=1)
             connection.execute("COMMIT")

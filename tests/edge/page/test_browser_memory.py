@@ -1,0 +1,83 @@
+"""A page that stays open does not grow: a browser's heap and nodes after 2000 views and 100 ticks."""
+
+import time
+from pathlib import Path
+
+import pytest
+from history_records import START_UTC, store, tick
+
+from bench.support.browser import PHONE, browser
+from bench.support.browser_memory import BrowserMemory, browser_memory, count_pushes, courses, wait_for_pushes
+from bench.support.quick_daemon import QuickTicks, quick_rig
+from edge.core.messages import Event, Forecast, Severity, TickRecord
+from edge.page.access import DAY_S, Role
+
+pytestmark = pytest.mark.slow
+pytest_plugins = ["rig_places"]
+
+WARM_UP, VIEWS, LOOKS_A_TICK = 400, 2000, 20
+RECORDED = 100
+SETTLE_S = 1.0
+LEAKS = """
+    const kept = [];
+    const Source = window.EventSource;
+    window.EventSource = class extends Source {
+      constructor(...words) {
+        super(...words);
+        this.addEventListener("message", (event) => {
+          kept.push(JSON.parse(event.data), document.createElement("p"));
+          addEventListener("resize", () => event);
+        });
+      }
+    };
+"""
+
+
+def some_tick(seq: int) -> TickRecord:
+    """A tick with an event, and with a forecast that the chart draws."""
+    event = Event("limit.reached", Severity.WARNING, f"number {seq}", 0.0, START_UTC + 60.0 * seq)
+    return tick(seq, events=(event,), forecasts={"arx": Forecast({1: 25.1, 15: 25.3}, {1: 0.1, 15: 0.4})})
+
+
+def memory_over_views(folder: Path, script: str = "") -> tuple[BrowserMemory, BrowserMemory, int]:
+    """Return memory after some views and after all of them, and the number of courses.
+
+    script : JavaScript that runs before the page's own
+    """
+    template = [some_tick(seq) for seq in range(1, RECORDED + 1)]
+    store(folder / "history.db", *template)
+    ticks = QuickTicks(template, RECORDED + 1, LOOKS_A_TICK)
+    found = []
+    with quick_rig(folder, ticks, 0.004) as (daemon, page), browser(PHONE) as driver:
+        count_pushes(driver, script)
+        driver.get(f"{page.base}/#link={page.access.make_link(Role.ADMIN, 'Ann', DAY_S)}")
+        for views in (WARM_UP, VIEWS):
+            wait_for_pushes(driver, views)
+            daemon.is_still = True
+            time.sleep(SETTLE_S)
+            found.append(browser_memory(driver))
+            daemon.is_still = False
+        assert [line["message"] for line in driver.get_log("browser")] == []
+        return found[0], found[1], courses(driver)
+
+
+def growth(before: BrowserMemory, after: BrowserMemory) -> list[str]:
+    """Name what has grown by more than noise."""
+    found = {
+        "heap": after.heap_mb - before.heap_mb > 1.0,
+        "nodes": after.nodes - before.nodes > 200,
+        "listeners": after.listeners - before.listeners > 20,
+    }
+    return [name for name, has_grown in found.items() if has_grown]
+
+
+def test_an_open_page_does_not_grow(folder: Path) -> None:
+    before, after, drawn = memory_over_views(folder)
+    assert drawn > 20
+    assert growth(before, after) == [], (before, after)
+
+
+def test_leaks_of_each_kind_would_be_seen(folder: Path) -> None:
+    """Else the check above could not fail."""
+    before, after, _ = memory_over_views(folder, LEAKS)
+    assert growth(before, after) == ["heap", "nodes", "listeners"], (before, after)
