@@ -119,7 +119,7 @@ def ask(client: Client, address: str) -> None:
     assert client.get(address).ok, address
 
 
-def year(folder: Path, starts: int) -> Iterator[str]:
+def year(folder: Path, days: int, starts: int) -> Iterator[str]:
     """Yield the table of requests."""
     path = folder / "history.db"
     with closing(sqlite3.connect(path)) as db:
@@ -128,7 +128,7 @@ def year(folder: Path, starts: int) -> Iterator[str]:
             f"{db.execute(f'SELECT count(*) FROM {table}').fetchone()[0]} rows of {table}"
             for table in ("ticks", "ten_minutes", "events")
         ]
-    yield f"a year of history: {path.stat().st_size / 1e6:.0f} MB, {', '.join(counts)}"
+    yield f"{days} days of history: {path.stat().st_size / 1e6:.0f} MB, {', '.join(counts)}"
     requests = [
         CourseRequest.of(span, back, newest_utc)
         for span in SPANS
@@ -247,7 +247,7 @@ def report(parts: Sequence[str], days: int, repeats: int, count: int) -> Iterato
         template = recorded_ticks(2.0)
         ticks = QuickTicks(template, build_year(folder / "history.db", template, days), LOOKS_A_TICK)
         tables: dict[str, Callable[[], Iterator[str]]] = {
-            "year": partial(year, folder, repeats),
+            "year": partial(year, folder, days, repeats),
             "paint": partial(paints, folder, ticks, repeats),
             "day": partial(day, folder, ticks, count),
         }
