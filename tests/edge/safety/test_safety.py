@@ -653,6 +653,13 @@ def test_thermal_supervision_begins_anew_where_something_is_not_known(unknown):
     assert judge(Command(), view(**unknown), memory).memory.thermal == ThermalMemory()
 
 
+def test_a_sensor_in_a_hand_is_not_judged():
+    memory = SafetyMemory(time_s=NOW - 60.0, thermal=replace(WATCHED, cold_s=1e6))
+    assert judge(Command(), view(air=5.0), memory).memory.trips == ("sensor_offset",)
+    held = judge(Command(), view(air=5.0, maintenance=True), memory).memory
+    assert (held.trips, held.thermal) == ((), ThermalMemory())
+
+
 def test_thermal_supervision_begins_with_the_second_decision():
     assert judge(Command(), view(), SafetyMemory(thermal=WATCHED)).memory.thermal == ThermalMemory()
 
