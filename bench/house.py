@@ -25,7 +25,7 @@ LOOK_UPS = (
     ("MQTT topics", "edge/mqtt/topics.py", "class Topics"),
     ("reward of the RL training", "training/rl/reward.py", "def reward("),
     ("fallback of a late controller", "edge/tick/decider.py", "class Decider"),
-    ("sensor calibration", "", "calibration.gain *"),  # stands in edge/tick/sensor_health.py; not found
+    ("sensor calibration", "", "calibration.gain *"),  # stands in edge/tick/calibration.py; not found
     ("orders of an operator", "edge/tick/orders.py", "def apply_orders("),
     ("state that survives a restart", "edge/state/store.py", "class StoredValue"),
     ("tables of the history", "edge/storage/schema.py", "def create_tables("),

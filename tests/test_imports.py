@@ -58,6 +58,7 @@ PURE = (
     "core/predictor.py",
     "core/horizons.py",
     "safety",
+    "tick/calibration.py",
     "tick/orders.py",
     "tick/reference.py",
     "tick/light_and_water.py",

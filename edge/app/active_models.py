@@ -127,6 +127,10 @@ class ActiveModels:
             controllers.update(self.controllers())
         return f"{self.model.name} {self.model.version} estimates and plans{kept}"
 
+    def begin_anew(self) -> None:
+        """As `Forecasting.begin_anew`."""
+        self.forecasting.begin_anew()
+
     def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
         """As `Forecasting.tick`; a bundle on trial is judged by the scores."""
         made = self.forecasting.tick(history, decision, driven, confirmed)

@@ -26,7 +26,7 @@ from edge.bundle.predictors import loader
 from edge.bundle.proof import Prover
 from edge.bundle.store import BundleStore
 from edge.config.loading import config_hash
-from edge.config.settings import Settings
+from edge.config.settings import SensorCalibration, Settings
 from edge.controllers.external import External
 from edge.core.clock import Clock, RealClock, boot_id
 from edge.core.controller import Controller
@@ -42,6 +42,7 @@ from edge.sockets.stop_file import StopFile
 from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, restore
 from edge.state.writer import DriftTurns, HourlySink, StandingSink, StateWriter
 from edge.storage import Session, Storage
+from edge.tick.calibration import formula
 from edge.tick.decider import decision_deadline_s
 from edge.tick.estimator import Estimator
 from edge.tick.inbox import Inbox
@@ -200,11 +201,19 @@ class Daemon:
             loop.note("state.broken", standing.broken)
         if chosen:
             loop.announce("controller.chosen", chosen)
-        if standing.operation.profile is not None and not self.experiment:
-            loop.announce("profile.resumed", f"goes on with {standing.operation.profile.in_words()}")
+        self._announce(loop, standing.operation)
         if self.commissioning is not None:
             self.commissioning.serve(self.stop, show_commissioning)
         return loop
+
+    def _announce(self, loop: Loop, standing: Operation) -> None:
+        """Emit an event for each order that holds on and would not be expected."""
+        if standing.profile is not None and not self.experiment:
+            loop.announce("profile.resumed", f"goes on with {standing.profile.in_words()}")
+        for each in standing.calibrations:
+            own = formula(each.signal, SensorCalibration(each.offset, each.gain))
+            text = f"{each.signal} is {own}, as a person calibrated it; the configured one waits"
+            loop.announce("calibration.holds", text)
 
     def _external(self) -> External:
         """Return the external controller. Its wait ends a little before the
@@ -284,16 +293,23 @@ class Daemon:
             controller=self.experiment,
             emergency_stop=standing.emergency_stop,
             maintenance_until_utc=standing.maintenance_until_utc,
+            points=standing.points,
+            calibrations=standing.calibrations,
         )
 
     def _save(self, state: StandingSink, standing: Operation) -> SaveState:
-        """Return the sink that saves orders. Only stops outlive an experiment."""
+        """Return the sink that saves orders. Only stops and calibrations outlive an experiment."""
         if not self.experiment:
             return state.save
 
         def save(operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
-            until = operation.maintenance_until_utc
-            stop = operation.emergency_stop
-            state.save(replace(standing, emergency_stop=stop, maintenance_until_utc=until), memory, answered)
+            outliving = replace(
+                standing,
+                emergency_stop=operation.emergency_stop,
+                maintenance_until_utc=operation.maintenance_until_utc,
+                points=operation.points,
+                calibrations=operation.calibrations,
+            )
+            state.save(outliving, memory, answered)
 
         return save

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from edge.app import controllers as registry
 from edge.app.box import bounds_of
 from edge.board.recorded_board import RecordedBoard, ReplayClock
-from edge.config.settings import Settings
+from edge.config.settings import CalibrationSettings, Settings
 from edge.controllers.mpc import Mpc
 from edge.controllers.mpc_rollout import MpcRollout
 from edge.core.controller import Context, Controller
@@ -91,6 +91,8 @@ def replay(
     """
     if twin is not None and twin.step_s != settings.control.step_s:
         raise DataError(f"twin: sample_s: {twin.step_s:g}, but a step has {settings.control.step_s:g} s")
+    # What was recorded are measurements, calibrated as it was then.
+    settings = replace(settings, calibration=CalibrationSettings())
     # The daemon's own loop, with a tape for a board: what is replayed is the code that runs on the rig.
     start_s = float(run.columns["time_s"][0])
     clock = ReplayClock(start_s, run.start_utc or 0.0)

@@ -93,7 +93,9 @@ class DriftMonitor:
         self._events: list[Event] = []
         self._off = ""
         self._confirmed = False
-        self._let_go()
+        self._filter: Filter | None = None
+        self._state: DriftFilterState | None = None
+        self._past: noise.InnovationPast | None = None
 
     def tick(self, twin: BoxTwin | None, history: Columns, confirmed: bool, hands_in: bool = False) -> Drift:
         """How the twin does at the newest row; never raises.
@@ -112,27 +114,25 @@ class DriftMonitor:
         try:
             return self._observe(twin, history, utc, unjudged)
         except DataError as error:
-            self._let_go()
+            self.begin_anew()
             return self._present(str(error))
         except Exception as bug:  # control goes on; the same bug at every tick would fill the history
             self._off = f"internal error: {bug!r}"
             self._events.append(Event("drift.failed", Severity.WARNING, self._off, now, utc))
             return self._unwatched_drift(self._off)
 
+    def begin_anew(self) -> None:
+        """Let the filter settle again, as after a start. Evidence and what was learnt stay."""
+        self._filter = self._state = self._past = None
+
     def take_events(self) -> list[Event]:
         """Return the beginnings and ends of alarms since the last call."""
         events, self._events = self._events, []
         return events
 
-    def _let_go(self) -> None:
-        """Drop the filter's state, so that it begins anew."""
-        self._filter: Filter | None = None
-        self._state: DriftFilterState | None = None
-        self._past: noise.InnovationPast | None = None
-
     def _observe(self, twin: BoxTwin | None, history: Columns, utc: float, unjudged: str) -> Drift:
         if twin is None:
-            self._let_go()
+            self.begin_anew()
             return self._unwatched_drift("no twin runs")
         if self._filter is None or self._filter.twin is not twin:
             self._begin(twin, utc)
@@ -153,7 +153,7 @@ class DriftMonitor:
     def _begin(self, twin: BoxTwin, utc: float) -> None:
         if twin.step_s != self._promise.step_s:
             raise DataError(f"the twin is for steps of {twin.step_s:g} s")
-        self._let_go()
+        self.begin_anew()
         self._filter = Filter(twin)
         sha256 = twin.sha256
         if self.memory is None or self.memory.twin_sha256 != sha256:

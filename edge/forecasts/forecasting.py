@@ -117,6 +117,10 @@ class Forecasting:
         self.state = without_rivals(self.state)
         self._set(active, intervals, rivals)
 
+    def begin_anew(self) -> None:
+        """Score no forecast from before now."""
+        self._scorer.drop()
+
     def tick(
         self, history: Columns, decision: Decision, driven: Command, confirmed: bool
     ) -> tuple[dict[str, Forecast], tuple[ForecastSkill, ...]]:

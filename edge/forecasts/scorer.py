@@ -108,7 +108,7 @@ class Scorer:
         if not self._longest or not len(history["time_s"]):
             return []
         if self._last is None or not self._goes_on(history):
-            self._drop()
+            self.drop()
         scored = []
         if len(self._starts) == self._longest:
             scored = self._score(predictors, history, self._starts.popleft())
@@ -117,13 +117,14 @@ class Scorer:
             temps = history["temp_air"][-START_ROWS:].copy()
             self._starts.append(_Start(float(history["temp_air_measured"][-1]), temps))
         else:
-            self._drop()
+            self.drop()
         return scored
 
     def _goes_on(self, history: Columns) -> bool:
         return len(history["time_s"]) > 1 and _newest(history, -2) == self._last
 
-    def _drop(self) -> None:
+    def drop(self) -> None:
+        """Skip the forecasts that are under way."""
         self.skipped += len(self._starts)
         self._starts.clear()
 

@@ -53,6 +53,7 @@ from edge.safety.thermal_supervision import (
     PartFault,
     ThermalMemory,
     look,
+    shift_readings,
 )
 
 __all__ = [
@@ -60,6 +61,7 @@ __all__ = [
     "SafetyVerdict",
     "SafetyView",
     "clear_trip",
+    "follow_calibration",
     "planning_limits",
     "supervise",
     "survives_as",
@@ -97,6 +99,11 @@ def supervise(
         events=events,
         open_cutoff=view.emergency_stop or view.maintenance or not CUTOFF_TRIPS.isdisjoint(memory.trips),
     )
+
+
+def follow_calibration(memory: SafetyMemory, air_k: float, room_k: float) -> SafetyMemory:
+    """Return the memory where calibrations lift the readings of air and room from now on [K]."""
+    return replace(memory, thermal=shift_readings(memory.thermal, air_k, room_k))
 
 
 def planning_limits(

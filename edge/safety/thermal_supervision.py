@@ -120,6 +120,23 @@ def look(
     return replace(memory, proof=proof), tuple(findings)
 
 
+def shift_readings(memory: ThermalMemory, air_k: float, room_k: float) -> ThermalMemory:
+    """Return the memory where calibrations lift air and room from now on [K]: that is not heat.
+
+    Begin balances anew, whose sums are of the readings before. What was known of relay and switches stays.
+    """
+    return replace(
+        memory,
+        heating=Heating(),
+        short=None,
+        later=None,
+        long=None,
+        excess_k=memory.excess_k + air_k - room_k,
+        fan_begin_excess_k=memory.fan_begin_excess_k + air_k - room_k,
+        proof=replace(memory.proof, highest_c=memory.proof.highest_c + air_k),
+    )
+
+
 def _follow_inputs(memory: ThermalMemory, moment: Observation, box: BoxBounds) -> ThermalMemory:
     share = moment.dt_s / (box.element_lag_s + moment.dt_s)
     switched = moment.fan_on != memory.fan_on or moment.fan_share < 1.0

@@ -16,6 +16,7 @@ from edge.config.settings import EstimatorSettings
 from edge.core.messages import Command, Estimate, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.core.predictor import Columns, Floats, Predictor
+from edge.tick.calibration import CalibrationChange
 from edge.twin.filter import predict, symmetric, update
 
 HISTORY_ROWS = 120
@@ -81,6 +82,14 @@ class Estimator:
     def history(self) -> Columns:
         """Columns as `Context.history` of the controllers; the last row's inputs are NaN until recorded."""
         return {name: np.array(rows) for name, rows in self._rows.items()}
+
+    def recalibrate(self, change: CalibrationChange) -> None:
+        """Go on as if a sensor had always read by another calibration, so that no filter sees a jump."""
+        columns = ("temp_air", "temp_air_measured") if change.signal == "temp_air" else (change.signal,)
+        for name in columns:
+            self._rows[name] = deque((change.convert(value) for value in self._rows[name]), HISTORY_ROWS)
+        if change.signal == "temp_ambient":
+            self._ambient = change.convert(self._ambient)
 
     def set_model(self, model: Predictor) -> None:
         """Go on with another predictor without a bump: its offset starts where both predict the same."""

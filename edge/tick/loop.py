@@ -9,7 +9,9 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
+from edge.config.settings import CalibrationSettings
 from edge.core.controller import Context
 from edge.core.errors import RequestError
 from edge.core.event_log import Allowance, EventLog
@@ -31,10 +33,12 @@ from edge.safety.supervisor import (
     SafetyVerdict,
     SafetyView,
     clear_trip,
+    follow_calibration,
     planning_limits,
     supervise,
     survives_as,
 )
+from edge.tick.calibration import RawMinute, SensorDesk, in_force, point_words, states
 from edge.tick.context import TickTime, context_of
 from edge.tick.decider import Decider
 from edge.tick.faults import Conditions
@@ -93,6 +97,7 @@ class Loop:
         self._decider = Decider(rig.controllers, rig.settings.control, self._conditions, self._answer_urgent)
         self._watering = Watering(rig.settings.watering)
         self._stopping = False
+        rig.sensors.calibrate(self._calibration(), self._start_s)
         self._shown = self._outputs()  # what was published last
         self.last_record: TickRecord | None = None
 
@@ -403,16 +408,21 @@ class Loop:
 
     def status(self) -> LoopStatus:
         """Standing orders, the last tick, what the board drives now, the line's counters."""
-        board = self._rig.board
+        board, now, operation = self._rig.board, self._rig.clock.now(), self._operation
+        configured = self._rig.settings.calibration
+        if self.last_record is not None:  # the first tick waits for a sample
+            self._rig.sensors.take(board.take_samples())
+        raw = partial(self._rig.sensors.raw, now=now)
         return LoopStatus(
-            self._operation,
-            self._rig.clock.now() - self._start_s,
+            operation,
+            now - self._start_s,
             self._memory.trips,
             self.last_record,
             board.echo,
             board.link_up,
             dict(board.statistics),
             self._conditions.standing(),
+            tuple(states(operation.points, operation.calibrations, configured, raw)),
         )
 
     def _order(self, request: Request) -> str:
@@ -427,9 +437,35 @@ class Loop:
         self._operation = after
         warning = self._order_board(request)
         self._tell("operator.order", Severity.INFO, in_words(request), clock.now())
+        self._follow_calibration(before)
         if acts_at_once(before, self._operation):
             self._act_now()
         return warning
+
+    def _calibration(self) -> CalibrationSettings:
+        return in_force(self._rig.settings.calibration, self._operation.calibrations)
+
+    def _follow_calibration(self, before: Operation) -> None:
+        """Go on as if another calibration had always held: the jump is neither heat nor a fault."""
+        rig, now = self._rig, self._rig.clock.now()
+        for point in self._operation.points[len(before.points) :]:
+            self._tell("calibration.point", Severity.INFO, point_words(point), now)
+        if self._operation.calibrations == before.calibrations:
+            return
+        changes = rig.sensors.calibrate(self._calibration(), now)
+        for change in changes:
+            rig.estimator.recalibrate(change)
+            self._tell("calibration.changed", Severity.INFO, change.in_words(), now)
+        jumps = {change.signal: change.jump for change in changes}
+        air_k, room_k = jumps.get("temp_air", 0.0), jumps.get("temp_ambient", 0.0)
+        self._memory = follow_calibration(self._memory, air_k, room_k)
+        rig.models.begin_anew()
+        if rig.drift is not None:
+            rig.drift.begin_anew()
+
+    def _raw_minute(self, signal: str) -> RawMinute:
+        self._rig.sensors.take(self._rig.board.take_samples())
+        return self._rig.sensors.minute(signal, self._rig.clock.now())
 
     def _order_board(self, request: Request) -> str:
         """Pass a stop or its end on to the board, before anything else; return why it has not confirmed."""
@@ -452,7 +488,7 @@ class Loop:
     def _desk(self) -> Desk:
         settings = self._rig.settings
         limits = settings.reference
-        names = tuple(self._rig.controllers)
+        names, echo = tuple(self._rig.controllers), self._rig.board.echo
         return Desk(
             self._rig.clock.utc(),
             names,
@@ -460,6 +496,12 @@ class Loop:
             limits.max_c,
             settings.control.controller,
             settings.unready,
+            SensorDesk(
+                settings.calibration,
+                self._raw_minute,
+                settings.safety.temp_air_max_c,
+                echo is None or echo.heater_duty > 0.0,
+            ),
         )
 
     def _clear_trip(self, request: Request) -> None:

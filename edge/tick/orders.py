@@ -17,6 +17,15 @@ from edge.core.names import HEATER_LEVELS
 from edge.core.plain_text import plain, quote
 from edge.formats.cross_check import ABSENT, REQUIRED, Rule
 from edge.formats.reader import DocumentError, read, read_number
+from edge.tick.calibration import (
+    CalibrationPoint,
+    Named,
+    SensorDesk,
+    StandingCalibration,
+    amount,
+    new_calibration,
+    new_point,
+)
 from edge.tick.standing_profile import NAME_MAX, StandingProfile
 from edge.tick.steering import Steering, problem, steer
 from edge.tick.steering import from_dict as steering_from_dict
@@ -90,6 +99,15 @@ _WORDS: dict[str, Callable[[Request], str]] = {
     "resume_profile": lambda _: "the profile goes on",
     "skip_profile": lambda _: "the profile was moved to its next point",
     "end_profile": lambda _: "the profile was ended",
+    "calibrate_point": lambda request: (
+        f"a calibration point of {request['signal']} was taken: "
+        f"the true value is {amount(request['signal'], request['true_value'])}"
+    ),
+    "discard_points": lambda request: f"the calibration points of {request['signal']} were discarded",
+    "apply_calibration": lambda request: f"{request['signal']} was calibrated by its points",
+    "reset_calibration": lambda request: (
+        f"the calibration of {request['signal']} follows the configuration again"
+    ),
 }
 
 
@@ -136,6 +154,8 @@ class Operation:
     steering: Steering | None = None  # what was asked for in words and confirmed
     before: Before | None = None  # what `undo` goes back to
     profile: StandingProfile | None = None  # stands in the place of the configured reference
+    points: tuple[CalibrationPoint, ...] = ()  # taken and not yet applied
+    calibrations: tuple[StandingCalibration, ...] = ()  # one a signal, in the place of the configured one
 
     def steering_at(self, utc: float) -> Steering | None:
         """None once it has ended."""
@@ -147,9 +167,9 @@ class Operation:
 
 
 def acts_at_once(before: Operation, after: Operation) -> bool:
-    """Return whether new orders change what may be sent now. Reference and controller wait for a decision."""
-    waits = {name: getattr(before, name) for name in ("reference_c", "controller", "before", "profile")}
-    return replace(after, **waits) != before
+    """Return whether new orders change what may be sent now. The others wait for the next decision."""
+    names = ("reference_c", "controller", "before", "profile", "points", "calibrations")
+    return replace(after, **{name: getattr(before, name) for name in names}) != before
 
 
 def has_lost_date(until_utc: float, utc: float) -> bool:
@@ -177,6 +197,7 @@ class Desk:
     reference_max_c: float
     configured_controller: str = ""
     unready: Callable[[str], str] = lambda name: ""  # why a controller cannot be chosen on this rig
+    sensors: SensorDesk | None = None
 
 
 def apply_orders(
@@ -306,6 +327,21 @@ class StartProfile:
 
 
 @dataclass(frozen=True, slots=True)
+class CalibratePoint:
+    """Keys of the request; the true value is in the signal's unit."""
+
+    signal: Named
+    true_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class OneSignal:
+    """Keys of a request about one signal."""
+
+    signal: Named
+
+
+@dataclass(frozen=True, slots=True)
 class Order:
     """A request's change of the standing orders, and its permitted keys."""
 
@@ -414,6 +450,50 @@ def _end_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
     return replace(operation, profile=None)
 
 
+def _sensors_of(desk: Desk) -> SensorDesk:
+    if desk.sensors is None:
+        raise RequestError("there are no sensors to calibrate")
+    return desk.sensors
+
+
+def _points_of(operation: Operation, signal: str) -> tuple[CalibrationPoint, ...]:
+    return tuple(point for point in operation.points if point.signal == signal)
+
+
+def _without(operation: Operation, signal: str) -> Operation:
+    """Return the orders without the signal's points. Errors: RequestError where it has none"""
+    if not _points_of(operation, signal):
+        raise RequestError(f"{signal}: there is no calibration point")
+    return replace(operation, points=tuple(each for each in operation.points if each.signal != signal))
+
+
+def _without_calibration(operation: Operation, signal: str) -> tuple[StandingCalibration, ...]:
+    return tuple(each for each in operation.calibrations if each.signal != signal)
+
+
+def _calibrate_point(operation: Operation, asked: CalibratePoint, desk: Desk) -> Operation:
+    before = _points_of(operation, asked.signal)
+    point = new_point(asked.signal, asked.true_value, before, _sensors_of(desk), desk.utc)
+    return replace(operation, points=(*operation.points, point))
+
+
+def _discard_points(operation: Operation, asked: OneSignal, desk: Desk) -> Operation:
+    return _without(operation, asked.signal)
+
+
+def _apply_calibration(operation: Operation, asked: OneSignal, desk: Desk) -> Operation:
+    after = _without(operation, asked.signal)
+    found = new_calibration(_points_of(operation, asked.signal), _sensors_of(desk), desk.utc)
+    return replace(after, calibrations=(*_without_calibration(operation, asked.signal), found))
+
+
+def _reset_calibration(operation: Operation, asked: OneSignal, desk: Desk) -> Operation:
+    left = _without_calibration(operation, asked.signal)
+    if left == operation.calibrations:
+        raise RequestError(f"{asked.signal}: it follows the configuration already")
+    return replace(operation, calibrations=left)
+
+
 ORDERS: dict[str, Order] = {
     "set_mode": Order(_set_mode, SetMode),
     "set_fan_mode": Order(_set_fan_mode, SetFanMode),
@@ -430,4 +510,8 @@ ORDERS: dict[str, Order] = {
     "resume_profile": Order(_resume_profile),
     "skip_profile": Order(_skip_profile),
     "end_profile": Order(_end_profile),
+    "calibrate_point": Order(_calibrate_point, CalibratePoint),
+    "discard_points": Order(_discard_points, OneSignal),
+    "apply_calibration": Order(_apply_calibration, OneSignal),
+    "reset_calibration": Order(_reset_calibration, OneSignal),
 }

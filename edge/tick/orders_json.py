@@ -6,18 +6,19 @@ from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any
 
 from edge.core.messages import Command
-from edge.core.names import ACTUATORS
+from edge.core.names import ACTUATORS, SIGNALS
 from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.profile_file import REFERENCE_C
 from edge.formats.reader import DocumentError, read, read_number
 from edge.tick import steering as steerings
+from edge.tick.calibration import POINTS_MAX, CalibrationPoint, StandingCalibration
 from edge.tick.orders import UTC_MAX, Before, FanMode, Mode, Operation
 from edge.tick.standing_profile import StandingProfile, Target
 from edge.tick.steering import Steering
 
 
 def to_dict(operation: Operation) -> dict[str, Any]:
-    """JSON values, for the state file; "profile" only where one is followed: earlier software knows none."""
+    """JSON values, for the state file; newer keys only where needed: earlier software knows them not."""
     values = {
         **asdict(operation),
         "mode": operation.mode.value,
@@ -26,8 +27,12 @@ def to_dict(operation: Operation) -> dict[str, Any]:
         "steering": _steering_dict(operation.steering),
         "before": None if operation.before is None else _before_dict(operation.before),
     }
-    profile = values.pop("profile")
-    return values if profile is None else {**values, "profile": _under_keys(StandingProfile, profile)}
+    profile, points, calibrations = (values.pop(key) for key in ("profile", "points", "calibrations"))
+    if profile is not None:
+        values["profile"] = _under_keys(StandingProfile, profile)
+    return values | {
+        key: list(items) for key, items in (("points", points), ("calibrations", calibrations)) if items
+    }
 
 
 def _under_keys(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -50,7 +55,7 @@ def _steering_dict(steering: Steering | None) -> dict[str, Any] | None:
 
 @dataclass(frozen=True, slots=True)
 class OperationDocument(CheckedDocument):
-    """Orders as `to_dict` writes them; steering, before and profile are not in files of earlier software."""
+    """Orders as `to_dict` writes them; those with a default are not in files of earlier software."""
 
     controller: str
     mode: Mode
@@ -62,6 +67,8 @@ class OperationDocument(CheckedDocument):
     steering: Steering | None = None
     before: Before | None = None
     profile: StandingProfile | None = None
+    points: Annotated[tuple[CalibrationPoint, ...], Rule(most=POINTS_MAX * len(SIGNALS))] = ()
+    calibrations: Annotated[tuple[StandingCalibration, ...], Rule(most=len(SIGNALS))] = ()
 
     def cross_check(self) -> None:
         """Refuse orders that no operator could have given at any time."""
@@ -99,4 +106,6 @@ def from_dict(values: Mapping[str, Any]) -> Operation:
         found.steering,
         found.before,
         found.profile,
+        found.points,
+        found.calibrations,
     )

@@ -120,6 +120,10 @@ class Models(Protocol):
         """Put newly served models into both arguments; return a description, "" without a change."""
         ...
 
+    def begin_anew(self) -> None:
+        """Score no forecast from before now: a sensor reads by another calibration."""
+        ...
+
     def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
         """Return forecasts by model, and the skill so far; without `confirmed` no past forecast is scored."""
         ...
@@ -134,6 +138,9 @@ class NoForecasts:
         """Nothing to exchange."""
         return ""
 
+    def begin_anew(self) -> None:
+        """Nothing is scored."""
+
     def forecast(self, history: Columns, decision: Decision, driven: Command, confirmed: bool) -> Forecasts:
         """None."""
         return {}, ()
@@ -144,6 +151,10 @@ class DriftWatch(Protocol):
 
     def tick(self, twin: BoxTwin | None, history: Columns, confirmed: bool, hands_in: bool = False) -> Drift:
         """Return the drift at the newest row; a row without `confirmed` or with `hands_in` is not judged."""
+        ...
+
+    def begin_anew(self) -> None:
+        """Let the filter settle again: a sensor reads by another calibration. Evidence stays."""
         ...
 
     def take_events(self) -> list[Event]:

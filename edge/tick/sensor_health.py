@@ -6,6 +6,7 @@ one wild sample changes nothing, and 5 s is little beside the sensor's own lag. 
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,7 @@ from edge.config.settings import CalibrationSettings, SensorCalibration, SensorH
 from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.safety.box_bounds import PAPER_BOX, BoxBounds
+from edge.tick.calibration import WINDOW_S, CalibrationChange, RawMinute, measurement
 from edge.tick.stillness import Stillness, is_stuck, watch
 
 AVERAGE_S = 5.0
@@ -51,6 +53,8 @@ class SensorHealth:
         self._calibration = calibration
         self._box = box
         self._tracks = {name: Track() for name in SIGNALS}
+        self._minutes = {name: deque[Reading]() for name in SIGNALS}  # raw, good or not, for a calibration
+        self._is_stuck = False  # the air, at the last reading
         self._paces = {
             "temp_air": Pace(settings.air_jump_k, box.air_rate_max_k_s),
             "temp_ambient": Pace(settings.air_jump_k, ROOM_RATE_MAX_K_S),
@@ -65,14 +69,44 @@ class SensorHealth:
         samples : since the last call, oldest first
         driven : what the board has driven since the last call
         """
+        self.take(samples)
         result = {}
         for name, track in self._tracks.items():
-            new = [sample[name] for sample in samples if name in sample]
-            track = follow(replace(track, stepped=False), new, self._paces.get(name, Pace()))
-            self._tracks[name] = track
             result[name] = assess(name, track, now, self._settings, getattr(self._calibration, name))
+            self._tracks[name] = replace(track, stepped=False)
         result["temp_air"] = self._unless_stuck(result["temp_air"], result["temp_ambient"], now, driven)
+        self._is_stuck = result["temp_air"].quality is ReadingQuality.STUCK
         return result
+
+    def take(self, samples: Sequence[Mapping[str, Reading]]) -> None:
+        """Follow samples between two readings. samples : since the last call, oldest first"""
+        for name, track in self._tracks.items():
+            new = [sample[name] for sample in samples if name in sample]
+            self._tracks[name] = follow(track, new, self._paces.get(name, Pace()))
+            minute = self._minutes[name]
+            minute.extend(new)
+            while minute and minute[-1].time_s - minute[0].time_s >= WINDOW_S:
+                minute.popleft()
+
+    def minute(self, name: str, now: float) -> RawMinute:
+        """Return the raw samples of the last while."""
+        return RawMinute(tuple(self._minutes[name]), self.raw(name, now), now, self._settings.sample_period_s)
+
+    def raw(self, name: str, now: float) -> Reading:
+        """Return the present reading before its calibration."""
+        reading = raw_reading(name, self._tracks[name], now, self._settings)
+        is_stuck = name == "temp_air" and self._is_stuck and reading.quality is ReadingQuality.GOOD
+        return replace(reading, quality=ReadingQuality.STUCK) if is_stuck else reading
+
+    def calibrate(self, calibration: CalibrationSettings, now: float) -> list[CalibrationChange]:
+        """Correct by another calibration from now on; return the signals that it changes."""
+        before, self._calibration = self._calibration, calibration
+        pairs = {name: (getattr(before, name), getattr(calibration, name)) for name in SIGNALS}
+        return [
+            CalibrationChange(name, *pair, self.raw(name, now).value)
+            for name, pair in pairs.items()
+            if pair[0] != pair[1]
+        ]
 
     def _unless_stuck(self, air: Reading, room: Reading, now: float, driven: Command) -> Reading:
         """Return the air's reading, called stuck where the box must have moved it."""
@@ -153,30 +187,33 @@ def assess(
     name: str, track: Track, now: float, settings: SensorHealthSettings, calibration: SensorCalibration
 ) -> Reading:
     """Return the reading of `name` at `now`, stillness aside."""
+    reading = raw_reading(name, track, now, settings)
+    return (
+        reading if reading.value is None else replace(reading, value=measurement(calibration, reading.value))
+    )
+
+
+def raw_reading(name: str, track: Track, now: float, settings: SensorHealthSettings) -> Reading:
+    """Return the reading of `name` at `now` before its calibration, stillness aside."""
     newest, limit_s = track.newest, STALE_PERIODS * settings.sample_period_s
     if newest is None:
         return Reading(name, None, -math.inf, ReadingQuality.STALE)
     if not track.accepted or not now - track.accepted[-1].time_s <= limit_s:
-        return _not_good(track, newest, now, limit_s, calibration)
+        return _not_good(track, newest, now, limit_s)
     value = trimmed_mean([s.value for s in track.accepted if s.value is not None])
     jumps = sum(1 for t in track.jumps_s if track.accepted[-1].time_s - t < AVERAGE_S)
     quality = ReadingQuality.SPIKE if track.stepped or jumps > len(track.accepted) else ReadingQuality.GOOD
-    return Reading(name, calibration.gain * value + calibration.offset, track.accepted[-1].time_s, quality)
+    return Reading(name, value, track.accepted[-1].time_s, quality)
 
 
-def _not_good(
-    track: Track, newest: Reading, now: float, limit_s: float, calibration: SensorCalibration
-) -> Reading:
+def _not_good(track: Track, newest: Reading, now: float, limit_s: float) -> Reading:
     quality = sample_quality(newest)
     if quality is ReadingQuality.GOOD:
         quality = ReadingQuality.SPIKE  # good by itself but not accepted
     if quality is not ReadingQuality.ABSENT and not now - newest.time_s <= limit_s:
         quality = ReadingQuality.STALE
     number = newest.value is not None and math.isfinite(newest.value)
-    value = (
-        calibration.gain * newest.value + calibration.offset if number and newest.value is not None else None
-    )
-    return Reading(newest.signal, value, newest.time_s, quality)
+    return Reading(newest.signal, newest.value if number else None, newest.time_s, quality)
 
 
 def trimmed_mean(values: Sequence[float]) -> float:

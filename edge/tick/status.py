@@ -1,11 +1,13 @@
 """The loop's answer to "status": values in the control thread, JSON in the thread of the one who asked."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from edge.core.messages import Echo, TickRecord
+from edge.core.names import SIGNALS
 from edge.formats.tick_json import drift_json, echo_json, number, skill_json, tick_json
+from edge.tick.calibration import CalibrationState, measurement
 from edge.tick.faults import FAILURES
 from edge.tick.orders import Operation
 from edge.tick.orders_json import to_dict
@@ -25,6 +27,7 @@ class LoopStatus:
     link_up: bool
     line: Mapping[str, int]
     conditions: tuple[str, ...] = ()  # rows of the failure table that hold
+    calibration: tuple[CalibrationState, ...] = ()
 
 
 def status_json(status: LoopStatus) -> dict[str, Any]:
@@ -42,6 +45,21 @@ def status_json(status: LoopStatus) -> dict[str, Any]:
         "link_up": int(status.link_up),
         "line": dict(status.line),
         "conditions": {key: FAILURES[key].what for key in status.conditions},
+        "calibration": {state.signal: calibration_json(state) for state in status.calibration},
+    }
+
+
+def calibration_json(state: CalibrationState) -> dict[str, Any]:
+    """Return JSON values in the signal's unit; "reads" now, and "will_read" once its points are applied."""
+    raw, after = state.raw, state.following
+    return {
+        "unit": SIGNALS[state.signal].unit,
+        **asdict(state.present),
+        "since_utc": state.utc,
+        "reads": None if raw is None else measurement(state.present, raw),
+        "following": None if after is None else asdict(after),
+        "will_read": None if raw is None or after is None else measurement(after, raw),
+        "points": [asdict(point) for point in state.points],
     }
 
 

@@ -60,10 +60,13 @@ from edge.safety.memory import Dose, SafetyMemory
 from edge.state import codecs
 from edge.state.codecs import DriftDocument, SafetyDocument, SkillDocument, StandingDocument
 from edge.tick import orders_json, steering
+from edge.tick.calibration import CalibrationPoint, StandingCalibration
 from edge.tick.orders import (
     ORDERS,
+    CalibratePoint,
     Desk,
     NoKeys,
+    OneSignal,
     Operation,
     SetController,
     SetFanMode,
@@ -197,7 +200,11 @@ def in_memory(kind: type, good: Any, number: tuple[str | int, ...] = ()) -> Docu
     return DocumentKind(lambda text: read(kind, parse_json(text)), lambda: good, number)
 
 
-OPERATION = orders_json.to_dict(Operation("MPC", reference_c=25.0, steering=STEERING))
+POINT = CalibrationPoint("co2", 420.0, 450.0, 5.0, 1.0)
+CALIBRATION = StandingCalibration("temp_air", 1.01, -0.5, 1.0)
+OPERATION = orders_json.to_dict(
+    Operation("MPC", reference_c=25.0, steering=STEERING, points=(POINT,), calibrations=(CALIBRATION,))
+)
 SAFETY = codecs.encode_safety(SafetyMemory(("air",), doses=(Dose(None, 1e9, 2.0),)))
 SKILL = SkillState({("arx", 5, "persistence"): ErrorPair(("1", "2"), 3, 0.1, 0.2)})
 DRIFT = DriftMemory("0" * 64, Evidence.none(0.0))
@@ -326,6 +333,8 @@ KINDS: dict[type, DocumentKind] = {
     ChannelTrial: in_memory(ChannelTrial, {"id": "a", "utc": 1.0}, ("utc",)),
     TrialAnswer: in_memory(TrialAnswer, {"id": "a", "reasons": {"ntfy": ""}}),
     Roles: in_memory(Roles, asdict(Roles())),
+    CalibratePoint: asked(CalibratePoint, {"signal": "co2", "true_value": 420.0}, ("true_value",)),
+    OneSignal: asked(OneSignal, {"signal": "co2"}),
     Admission: in_memory(Admission, asdict(Admission("1.0", ("0" * 64,)))),
 }
 FOREIGN = {ChoicesDocument, ReportedTwin, Findings, ModelReport}  # may hold keys of others

@@ -11,8 +11,9 @@ from edge.core.messages import ReadingQuality
 from edge.mqtt import states
 from edge.tick.status import status_json
 
-# Of the same script at commit 8465879, in which the control thread still encoded its answers itself.
-SHA256 = "7629b1e9f1c9e07f9ec9372ecd2ccc67c9db9e03966d6137a845a62b2f61421f"
+# Of the same script at commit 8465879, in which the control thread still encoded its answers itself; since
+# then answers have the calibrations too.
+SHA256 = "8329e78dd2d27d2b72b134b58572cc17bba2cc6c5f6cda6cacad06dcc3b30d1e"
 TOPICS = (states.decision, states.forecast, states.forecasts, states.skill, states.drift)
 COUNTERS = {"ticks_late": 1, "ticks_skipped": 0, "outbox_depth": None}
 STEERING = {

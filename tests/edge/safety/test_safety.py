@@ -30,6 +30,7 @@ from edge.safety.rules import duty_below_trip, energy_duty
 from edge.safety.supervisor import (
     SafetyMemory,
     clear_trip,
+    follow_calibration,
     planning_limits,
     supervise,
     survives_as,
@@ -658,6 +659,12 @@ def test_a_sensor_in_a_hand_is_not_judged():
     assert judge(Command(), view(air=5.0), memory).memory.trips == ("sensor_offset",)
     held = judge(Command(), view(air=5.0, maintenance=True), memory).memory
     assert (held.trips, held.thermal) == ((), ThermalMemory())
+
+
+def test_another_calibration_moves_what_thermal_supervision_remembers():
+    memory = SafetyMemory(thermal=replace(WATCHED, excess_k=3.0, fan_begin_excess_k=8.0))
+    moved = follow_calibration(memory, 2.0, -1.0).thermal
+    assert (moved.excess_k, moved.fan_begin_excess_k, moved.off_s) == (6.0, 11.0, 100.0)
 
 
 def test_thermal_supervision_begins_with_the_second_decision():

@@ -20,6 +20,7 @@ from edge.safety.thermal_supervision import (
     Observation,
     ThermalMemory,
     look,
+    shift_readings,
     unordered_w,
 )
 from firmware_protocol.virtual_board.chamber import Chamber
@@ -364,3 +365,32 @@ def test_a_stuck_fan_that_blows_all_the_time_is_no_false_alarm_of_other_parts():
     box = SupervisedBox(4)
     box.faults["fan"] = 1.0
     assert set(drive(box, "smooth", minutes=400, seed=5).found) <= {HEATER_NO_EFFECT}
+
+
+# A calibration
+
+
+def after_calibration(before: Observation, air_k: float, is_shifted: bool) -> tuple[str, float] | None:
+    """Look 25 minutes at one state, lift the air's reading, and look on."""
+    memory = ThermalMemory()
+    for _ in range(25):
+        memory, findings = look(memory, before)
+        assert findings == ()
+    if is_shifted:
+        memory = shift_readings(memory, air_k, 0.0)
+    return first_trip([replace(before, temp_air=before.temp_air + air_k)] * 60, memory)
+
+
+def test_a_reading_that_a_calibration_lifts_is_not_heat():
+    warm = replace(REST, temp_air=28.0)
+    # 3000 J/K * 5 K in 600 s are 25 W, and 4 W/K * 7 K lost are 28 W: more than the 50 W that may come in
+    assert after_calibration(warm, 5.0, is_shifted=False)[0] == HEATER_STUCK_ON
+    assert after_calibration(warm, 5.0, is_shifted=True) is None
+
+
+def test_a_reading_that_a_calibration_lowers_hides_no_dead_heater():
+    cold = replace(REST, heater_duty=1.0)
+    memory, _ = look(ThermalMemory(), cold)
+    trip, passed_s = first_trip([replace(cold, temp_air=17.0)] * 60, shift_readings(memory, -4.0, 0.0))
+    assert trip == HEATER_NO_EFFECT
+    assert passed_s <= 900.0

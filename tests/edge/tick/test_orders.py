@@ -174,9 +174,10 @@ def test_every_order_has_a_test_of_its_effect() -> None:
     stopped = ask(do="emergency_stop")
     assert operate(stopped, {"do": "release_emergency_stop"}, DESK) == AUTO
     assert operate(ask(do="steer", steering=steerings.to_dict(NIGHT)), {"do": "undo"}, DESK) == AUTO
-    # The orders to a profile that is followed: test_standing_profile.py
+    # The orders to a profile that is followed: test_standing_profile.py; about sensors: test_calibration.py
     followed = {"pause_profile", "resume_profile", "skip_profile", "end_profile"}
-    assert set(ORDERS) == {*changed, *followed, "release_emergency_stop", "undo"}
+    sensors = {"calibrate_point", "discard_points", "apply_calibration", "reset_calibration"}
+    assert set(ORDERS) == {*changed, *followed, *sensors, "release_emergency_stop", "undo"}
 
 
 def test_the_controller_none_is_the_configured_one():
@@ -213,6 +214,14 @@ SAID = {
     "the profile goes on": {"do": "resume_profile"},
     "the profile was moved to its next point": {"do": "skip_profile"},
     "the profile was ended": {"do": "end_profile"},
+    "a calibration point of temp_air was taken: the true value is 0.00 °C": {
+        "do": "calibrate_point",
+        "signal": "temp_air",
+        "true_value": 0.0,
+    },
+    "the calibration points of co2 were discarded": {"do": "discard_points", "signal": "co2"},
+    "co2 was calibrated by its points": {"do": "apply_calibration", "signal": "co2"},
+    "the calibration of co2 follows the configuration again": {"do": "reset_calibration", "signal": "co2"},
 }
 
 

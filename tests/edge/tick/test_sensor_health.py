@@ -34,6 +34,18 @@ def after(values: list[float | None], sensors: SensorHealth | None = None, start
     return (sensors or health()).readings(samples, now, OFF)["temp_air"]
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_samples_that_come_in_pieces_give_the_same_readings(seed: int):
+    noise, whole, pieces = random.Random(seed), health(), health()
+    for tick in range(20):
+        values = [noise.choice((22.0, 22.1, 24.5, 30.0, None)) for _ in range(20)]
+        samples = [air(value, 20.0 * tick + second) for second, value in enumerate(values)]
+        cut = noise.randrange(20)
+        pieces.take(samples[:cut])
+        now = 20.0 * tick + 19.0
+        assert pieces.readings(samples[cut:], now, OFF) == whole.readings(samples, now, OFF)
+
+
 def test_before_any_sample_every_signal_is_stale_without_a_number():
     readings = health().readings([], 0.0, OFF)
     assert set(readings) == set(SIGNALS)
