@@ -93,7 +93,8 @@ def known_names(columns: Columns) -> set[str]:
 
 
 def facts_of(connection: sqlite3.Connection, first: Tick, last: Tick) -> dict[str, str]:
-    """Return the facts of a stretch of this rig's ticks."""
+    """Return the facts of a stretch of this rig's ticks; a sensor that was calibrated within it is one."""
+    calibrated = calibration_events(connection, first[0] + 1, last[0])
     controllers = connection.execute(
         "SELECT DISTINCT controller FROM ticks WHERE seq BETWEEN ? AND ? ORDER BY 1", (first[0], last[0])
     )
@@ -103,7 +104,17 @@ def facts_of(connection: sqlite3.Connection, first: Tick, last: Tick) -> dict[st
         "first_seq": str(first[0]),
         "last_seq": str(last[0]),
         "controllers": ", ".join(name for (name,) in controllers),
-    }
+    } | ({"calibrations": "; ".join(f"tick {seq}: {text}" for seq, text in calibrated)} if calibrated else {})
+
+
+def calibration_events(
+    connection: sqlite3.Connection, first_seq: int, last_seq: int
+) -> list[tuple[int, str]]:
+    """Return the first tick by each other calibration of a sensor, and the event's text."""
+    return connection.execute(
+        "SELECT seq, text FROM events WHERE key = 'calibration.changed' AND seq BETWEEN ? AND ? ORDER BY seq",
+        (first_seq, last_seq),
+    ).fetchall()
 
 
 def run_text(path: Path, since_utc: float, until_utc: float, opened: Opened) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from itertools import groupby
@@ -22,6 +23,7 @@ from edge.storage.run_rows import (
     TICK_INPUTS,
     RunGrid,
     Tick,
+    calibration_events,
     columns_of,
     facts_of,
     known_names,
@@ -191,9 +193,10 @@ def export_stretches(
 ) -> list[RecordedRun]:
     """Return the rig's recordings between two times, in their order, without imported runs.
 
-    From session to session only the wall clock could tell how much time passed, so none crosses one. Ticks
-    of a named run of role test are stretches of their own and carry that role. Inputs are as `export_run`'s:
-    what the board confirmed, so what was sent after safety and not what was wanted.
+    From session to session only the wall clock could tell how much time passed, so none crosses one; nor a
+    new calibration of a sensor, whose jump is not heat. Ticks of a named run of role test are stretches of
+    their own and carry that role. Inputs are as `export_run`'s: what the board confirmed, so what was sent
+    after safety and not what was wanted.
 
     Errors : DataError
     """
@@ -202,13 +205,15 @@ def export_stretches(
         if not ticks:
             raise DataError(f"{path}: there are no ticks in this stretch")
         tests = _test_runs(connection)
+        calibrated = [seq for seq, _ in calibration_events(connection, ticks[0][0], ticks[-1][0])]
 
-        def kind(tick: Tick) -> tuple[object, tuple[int, int] | None]:
-            return tick[1], next((run for run in tests if run[0] <= tick[0] <= run[1]), None)
+        def kind(tick: Tick) -> tuple[object, int, tuple[int, int] | None]:
+            test = next((run for run in tests if run[0] <= tick[0] <= run[1]), None)
+            return tick[1], bisect_right(calibrated, tick[0]), test
 
         return [
             run_of_ticks(connection, path, list(rows), {"role": "test"} if test else {})
-            for (_, test), rows in groupby(ticks, kind)
+            for (*_, test), rows in groupby(ticks, kind)
         ]
 
 

@@ -11,7 +11,7 @@ from history_records import START_UTC, HandClock, History, tick
 from training_runs import box_run
 
 from edge.core.errors import DataError
-from edge.core.messages import Command, Echo, Reading, ReadingQuality
+from edge.core.messages import Command, Echo, Event, Reading, ReadingQuality, Severity
 from edge.diagnosis.history_runs import history_runs
 from edge.diagnosis.runs import (
     GAP_S,
@@ -25,7 +25,7 @@ from edge.diagnosis.runs import (
 )
 from edge.formats.run_file import RecordedRun, absence_facts, data_sha256, write_run
 from edge.storage import Storage
-from edge.storage.runs import export_stretches, name_run
+from edge.storage.runs import export_run, export_stretches, name_run
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -548,6 +548,19 @@ def test_a_clock_that_went_back_between_two_sessions_only_separates_them(history
     runs = history_runs(export_stretches(history), TWIN, test_share=0.0)
     assert [len(named.run) for named in runs.train] == [30, 30]
     assert runs.test == ()
+
+
+def test_a_sensor_that_was_calibrated_ends_a_stretch_and_an_export_says_when(history: Path) -> None:
+    jump = Event("calibration.changed", Severity.INFO, "temp_air is now ...", 0.0, START_UTC)
+    other = Event("tick.late", Severity.WARNING, "2 s", 0.0, START_UTC)
+    ticks = [full_tick(seq) for seq in range(1, 61)]
+    ticks[20] = full_tick(21, events=(other, jump))  # the first tick that reads by it
+    ticks[40] = full_tick(41, events=(other,))
+    record(history, *ticks)
+    stretches = export_stretches(history)
+    assert [len(run) for run in stretches] == [20, 40]
+    assert all("calibrations" not in run.facts for run in stretches)
+    assert export_run(history).facts["calibrations"] == "tick 21: temp_air is now ..."
 
 
 def test_of_a_long_history_the_newest_rows_are_used_and_the_report_says_since_when(history: Path) -> None:
