@@ -29,6 +29,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "replay": "put recorded runs through the same tick; score forecasts",
     "fit-arx": "fit an ARX model to recorded runs",
     "profile": "follow a file of targets: start, pause, skip, resume, end",
+    "calibrate": "correct a sensor by one or two known states",
     "data": "look at logs of another box, convert them to run files",
     "twin": "the physics model: new, simulate, find what it lacks, adopt",
     "backup": "write a rig's settings, state and history into one file",
@@ -65,7 +66,16 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
         "fit-arx",
         "twin",
     ),
-    "Look after a rig": ("board", "bundle", "backup", "restore", "evidence", "resend", "forget-discovery"),
+    "Look after a rig": (
+        "calibrate",
+        "board",
+        "bundle",
+        "backup",
+        "restore",
+        "evidence",
+        "resend",
+        "forget-discovery",
+    ),
 }
 FIRST_STEPS = """Without a rig: `greenhouse demo`, and `greenhouse status` in another terminal.
 With one: `greenhouse setup`. It writes edge.yaml; after a change by hand:
