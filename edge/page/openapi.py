@@ -146,6 +146,8 @@ def _schema(kind: Any) -> Json:
     """Return the schema of a field's type."""
     if get_origin(kind) is Annotated:
         inner, rule = get_args(kind)
+        if rule.choices:
+            return {"enum": list(rule.choices)}
         return _schema(inner) | _bounds(rule, get_origin(inner) is tuple, inner is str)
     if get_origin(kind) is tuple:
         return {"type": "array", "items": _schema(get_args(kind)[0])}

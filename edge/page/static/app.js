@@ -3,6 +3,7 @@
 import { html, render, useEffect, useErrorBoundary, useMemo, useRef, useState } from "./vendor/preact-htm.js";
 import { call, follow } from "./api.js";
 import { Alarms } from "./alarms.js";
+import { Calibration } from "./calibration.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
 import { ModelCards } from "./models.js";
 import { Profile } from "./profile.js";
@@ -122,6 +123,7 @@ function Rig({ me }) {
       <//>
       <${Group} name="rig" group=${group}>
         <${Health} view=${view} me=${me} />
+        <${Calibration} view=${view} me=${me} done=${done} />
         <${Alarms} me=${me} news=${seq} />
         <${Access} me=${me} />
       <//>

@@ -13,6 +13,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
+from selenium.webdriver.support.select import Select
 
 from bench.support.broker import free_port, wait_for
 from bench.support.browser import DESK, PHONE, browser
@@ -184,6 +185,77 @@ def test_a_view_that_comes_late_does_not_bring_back_what_was(rig) -> None:
         tap(driver, "Set")
         wait_for(lambda: "the reference was set to" in text(driver))
         assert set(driver.execute_script("return window.seen")) == {"fan_only"}
+
+
+def test_a_sensor_is_calibrated_step_by_step_and_back(rig) -> None:
+    daemon, page = rig
+
+    def state() -> dict:
+        return daemon.ask("status")["calibration"]["soil_moisture"]
+
+    def tick_value() -> float:
+        return daemon.ask("status")["tick"]["readings"]["soil_moisture"]["value"]
+
+    def card() -> str:
+        return driver.find_element(By.CSS_SELECTOR, "section[aria-label=Calibration]").text
+
+    def take(value: str, expected: str) -> None:
+        """Type a value and tap until the page says what is expected."""
+        field = driver.find_element(By.CSS_SELECTOR, "section[aria-label=Calibration] input")
+        field.clear()
+        field.send_keys(value)
+
+        def says() -> bool:
+            if expected in card():
+                return True
+            tap(driver, "Take the first point")
+            time.sleep(0.5)
+            return expected in card()
+
+        wait_for(says, expected, 120.0)  # a point needs a minute of readings
+
+    with browser(PHONE) as driver:
+        enter(driver, page, Role.OPERATE, group="rig")
+        found = "section[aria-label=Calibration] select"
+        wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, found))
+        choose = driver.find_element(By.CSS_SELECTOR, found)
+        Select(choose).select_by_visible_text("Soil moisture")
+        tap(driver, "Take the first point")
+        wait_for(lambda: "type the true value" in card())
+        take("40", "40 is above the largest allowed, 1")
+        take("0.4", "Point 1")
+        (point,) = state()["points"]
+        assert point["true_value"] == 0.4
+        before, after = point["raw"], 0.4
+        assert abs(before - after) > 0.1  # 0.55 in this chamber
+        wait_for(lambda: f"The sensor reads {before:.2f}" in card() and "and will read 0.4" in card())
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= PHONE[0]
+        assert serious_findings(driver) == []
+        tap(driver, "Apply")
+        wait_for(lambda: state()["since_utc"] is not None)
+        said = ("soil_moisture was calibrated by its points, by Ann (page)",)
+        wait_for(lambda: said in daemon.rows("SELECT text FROM events WHERE key = 'operator.order'"))
+        daemon.kill()
+        daemon.start()
+        wait_for(
+            lambda: abs(daemon.ask("status")["tick"]["readings"]["soil_moisture"]["value"] - after) < 0.02
+        )
+        wait_for(lambda: "Back to the configured calibration" in card())
+        tap(driver, "Back to the configured calibration")
+        wait_for(lambda: state()["since_utc"] is None)
+        assert abs(state()["reads"] - before) < 0.02
+        assert complaints(driver) == []
+
+
+def test_one_who_looks_calibrates_nothing(rig) -> None:
+    _, page = rig
+    with browser() as driver:
+        enter(driver, page, Role.VIEW, "guest", "rig")
+        wait_for(lambda: "Soil moisture" in text(driver))
+        card = driver.find_element(By.CSS_SELECTOR, "section[aria-label=Calibration]")
+        assert card.find_elements(By.CSS_SELECTOR, "select, button, input") == []
+        refused = page.client(Role.VIEW).post("/api/order", {"do": "reset_calibration", "signal": "co2"})
+        assert refused.status_code == 403
 
 
 def test_the_keyboard_alone_reaches_the_stop(rig, board: VirtualBoard) -> None:
