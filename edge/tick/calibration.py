@@ -3,7 +3,6 @@
 A point is of raw readings, so that a second calibration takes the first one's place and never stacks on it.
 """
 
-import math
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,8 @@ from edge.formats.cross_check import CheckedDocument, Rule, SettingError
 from edge.formats.reader import read_number
 
 WINDOW_S = 60.0  # of a point: a thermometer in still air needs minutes, which shorter ones would not show
-COVERED = 0.8  # share of the samples of that time that must be there and good
+SPAN_S = 0.8 * WINDOW_S  # so far back the good samples must reach
+LEAST_SHARE = 0.5  # of the samples of that time: a busy line loses some
 APART_NOISES = 20.0  # noise of two points this far apart moves the gain by 7 % at most
 POINTS_MAX = 2
 
@@ -95,13 +95,14 @@ class RawMinute:
         if self.reading.quality is not ReadingQuality.GOOD:
             raise RequestError(f"{signal}: its readings are not good ({self.reading.quality.value})")
         recent = [sample for sample in self.samples if self.now_s - sample.time_s < WINDOW_S]
-        values = [each.value for each in recent if each.value is not None and _is_good(each)]
-        missing = math.ceil(COVERED * WINDOW_S / self.period_s) - len(values)
-        if missing > 0:
+        good = [each for each in recent if each.value is not None and _is_good(each)]
+        span_s = self.now_s - good[0].time_s if good else 0.0
+        if span_s < SPAN_S or len(good) < LEAST_SHARE * WINDOW_S / self.period_s:
             raise RequestError(
-                f"{signal}: {len(values)} good readings in the last {WINDOW_S:g} s are too few: "
-                f"wait {math.ceil(missing * self.period_s)} s"
+                f"{signal}: {len(good)} good readings in the last {span_s:.0f} s are too few: "
+                f"wait until there are readings of {WINDOW_S:g} s"
             )
+        values = [each.value for each in good if each.value is not None]
         noise, third = statistics.stdev(values), len(values) // 3
         moved = statistics.fmean(values[-third:]) - statistics.fmean(values[:third])
         if not max(noise, abs(moved)) <= _limits(signal).moves:
