@@ -1,20 +1,17 @@
 """A controller's answer in JSON: what it must look like, and strictly nothing else."""
 
-import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.wire import Schema
+from edge.assistant.llm.wire import Schema, read_object
 from edge.core.messages import Command
 from edge.core.names import HEATER_LEVELS
 from edge.core.plain_text import plain
-from edge.formats.reader import DocumentError, parse_json, read
+from edge.formats.reader import DocumentError, read
 
 RATIONALE_MAX = 1200  # characters that are kept
 SNAP = 1e-6  # a duty this near a level is that level
-_FENCED = re.compile(r"\s*```(?:json)?\s*\n(?P<json>.*?)\n?\s*```\s*", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,14 +85,3 @@ def read_answer(content: str | None, with_simulation: bool) -> ModelAnswer:
 def nearest_level(duty: float) -> float:
     """Round a heater duty to the board's steps of 1/20."""
     return round(duty * HEATER_LEVELS) / HEATER_LEVELS
-
-
-def read_object(content: str | None) -> Mapping[str, Any]:
-    """One JSON object, alone or in one fence. Errors: LlmFailure: malformed"""
-    if content is None or not content.strip():
-        raise LlmFailure("malformed", "the answer is empty")
-    fenced = _FENCED.fullmatch(content)
-    try:
-        return parse_json(fenced["json"] if fenced else content, "the answer")
-    except DocumentError as error:
-        raise LlmFailure("malformed", str(error)) from None

@@ -8,11 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from edge.assistant.llm.budget import Budget
+from edge.assistant.llm.dialect import REFUSALS, Dialect
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.line import HttpResponse, Interrupt, Post, post
+from edge.assistant.llm.prompted_tools import read_call, without_native_tools
 from edge.assistant.llm.wire import (
     Chat,
-    Dialect,
     Message,
     Reply,
     Schema,
@@ -20,6 +21,7 @@ from edge.assistant.llm.wire import (
     Usage,
     estimated_tokens,
     read_document,
+    read_object,
     read_reply,
     read_usage,
     to_bytes,
@@ -93,6 +95,8 @@ class Endpoint:
     now: Callable[[], float] = time.monotonic
     pause: Callable[[Interrupt, float], None] = _pause
     _dialect: Dialect = field(default_factory=Dialect)
+    _proven: frozenset[str] = frozenset()  # parts of requests that the server has answered
+    _calls_natively: bool = False  # it has called a tool that was offered natively
 
     def chat(
         self,
@@ -127,28 +131,45 @@ class Endpoint:
                 raise LlmFailure("interrupted", "nobody waits for the answer any more")
 
     def _exchange(self, chat: Chat, end_s: float, stop: Interrupt) -> Reply:
-        """Ask once, or twice where the server refuses a part that it can do without."""
-        dialect = self._dialect
-        response, used = self._send(chat, dialect, end_s, stop)
-        while response.status == 400:
-            simpler = dialect.after_refusal(response.raw.decode())
-            if simpler is None or chat.body(simpler) == chat.body(dialect):
+        """Ask once, and once more where tools were offered and neither a call nor an object came back."""
+        if not (chat.tools and self._dialect.native_tools and chat.schema is not None):
+            return self._ask(chat, self._dialect, end_s, stop)
+        try:
+            reply = self._ask(chat, self._dialect, end_s, stop)
+        except LlmFailure as failure:
+            if failure.kind not in ("malformed", "truncated"):
+                raise
+        else:
+            self._calls_natively |= bool(reply.tool_calls) and self._dialect.native_tools
+            if reply.tool_calls or _is_object(reply.content):
+                return reply
+        if self._calls_natively:  # its tools stand in the way of the form: now without
+            return self._ask(replace(chat, tools=()), self._dialect, end_s, stop)
+        return self._ask(chat, replace(self._dialect, native_tools=False), end_s, stop)
+
+    def _ask(self, chat: Chat, dialect: Dialect, end_s: float, stop: Interrupt) -> Reply:
+        """Ask in a dialect, or in a simpler one where the server refuses a part that it can do without."""
+        body = _body(chat, dialect)
+        response, used = self._send(body, end_s, stop)
+        while response.status in REFUSALS and not chat.uses(dialect) <= self._proven:
+            simpler = dialect.after_refusal(response.raw.decode(), bool(chat.tools))
+            if simpler is None:
                 break
             dialect = simpler
-            response, used = self._send(chat, dialect, end_s, stop)
+            if body != (body := _body(chat, dialect)):
+                response, used = self._send(body, end_s, stop)
         self._check(response)
+        reply = read_reply(read_document(response.raw), used)
         self._dialect = dialect
-        return read_reply(read_document(response.raw), used)
+        self._proven |= chat.uses(dialect)
+        return read_call(reply) if chat.tools and not dialect.native_tools else reply
 
-    def _send(
-        self, chat: Chat, dialect: Dialect, end_s: float, stop: Interrupt
-    ) -> tuple[HttpResponse, Usage]:
+    def _send(self, body: bytes, end_s: float, stop: Interrupt) -> tuple[HttpResponse, Usage]:
         """One request on the line, paid for whatever comes of it."""
         left_s = end_s - self.now()
         if not left_s > 0.0:  # NaN lands here too
             raise LlmFailure("timeout", "the time for this answer is over")
-        body = to_bytes(chat.body(dialect))
-        most = Usage(estimated_tokens(body), chat.answer_tokens, estimated=True)
+        most = Usage(estimated_tokens(body), self.settings.answer_tokens, estimated=True)
         self.budget.charge(most)
         used = Usage(estimated=True)
         try:
@@ -203,6 +224,19 @@ class _TryAgain(Exception):
         super().__init__(str(failure))
         self.failure = failure
         self.after_s = after_s
+
+
+def _body(chat: Chat, dialect: Dialect) -> bytes:
+    spoken = chat if dialect.native_tools else without_native_tools(chat)
+    return to_bytes(spoken.body(dialect))
+
+
+def _is_object(content: str | None) -> bool:
+    try:
+        read_object(content)
+    except LlmFailure:
+        return False
+    return True
 
 
 def _usage(response: HttpResponse, most: Usage) -> Usage:

@@ -4,10 +4,12 @@ Servers differ: `content` may be null, `arguments` is a string that may be no JS
 """
 
 import json
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
+from edge.assistant.llm.dialect import AnswerForm, Dialect
 from edge.assistant.llm.failure import LlmFailure
 from edge.core.plain_text import plain
 from edge.formats.cross_check import Rule
@@ -17,6 +19,7 @@ Message = Mapping[str, Any]
 TOKENS_MAX = 10**9  # what a server says beyond this is no count
 Count = Annotated[int, Rule(low=0, high=TOKENS_MAX)]
 CHARACTERS_PER_TOKEN = 4  # of English text, by the vendors' rule of thumb
+_FENCED = re.compile(r"\s*```(?:json)?\s*\n(?P<json>.*?)\n?\s*```\s*", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,20 +73,6 @@ class Reply:
 
 
 @dataclass(frozen=True, slots=True)
-class Dialect:
-    """The features that a server accepts beyond the common ones, learnt from its refusals."""
-
-    response_format: bool = True
-    tokens_key: str = "max_tokens"  # newer models of OpenAI's insist on max_completion_tokens
-
-    def after_refusal(self, said: str) -> "Dialect | None":
-        """Return the next dialect to try after a 400 with this text, None when none is left."""
-        if "max_completion_tokens" in said and self.tokens_key == "max_tokens":
-            return replace(self, tokens_key="max_completion_tokens")
-        return replace(self, response_format=False) if self.response_format else None
-
-
-@dataclass(frozen=True, slots=True)
 class Chat:
     """One request, apart from the server's dialect."""
 
@@ -94,8 +83,14 @@ class Chat:
     temperature: float = 0.0
     schema: Schema | None = None
 
+    def uses(self, dialect: Dialect) -> frozenset[str]:
+        """Return the parts of a request that a server may refuse."""
+        if self.tools and dialect.native_tools:
+            return frozenset({dialect.tokens_key, "tools"})
+        return frozenset({dialect.tokens_key, dialect.form.value if self.schema else ""})
+
     def body(self, dialect: Dialect) -> dict[str, Any]:
-        """As it is posted. A schema is sent only where no tools are: many servers can't do both."""
+        """As it is posted. Beside native tools no form is asked for: many servers can't do both."""
         body: dict[str, Any] = {
             "model": self.model,
             "messages": list(self.messages),
@@ -106,10 +101,18 @@ class Chat:
         if self.tools:
             body["tools"] = [{"type": "function", "function": _function(tool)} for tool in self.tools]
             body["parallel_tool_calls"] = False
-        elif self.schema is not None and dialect.response_format:
-            described = {"name": self.schema.name, "schema": dict(self.schema.schema), "strict": True}
-            body["response_format"] = {"type": "json_schema", "json_schema": described}
+        elif self.schema is not None and dialect.form is not AnswerForm.FREE:
+            body["response_format"] = _response_format(self.schema, dialect.form)
         return body
+
+
+def _response_format(schema: Schema, form: AnswerForm) -> dict[str, Any]:
+    if form is AnswerForm.SCHEMA:
+        described = {"name": schema.name, "schema": dict(schema.schema), "strict": True}
+        return {"type": "json_schema", "json_schema": described}
+    if form is AnswerForm.OBJECT_BY_SCHEMA:
+        return {"type": "json_object", "schema": dict(schema.schema)}
+    return {"type": "json_object"}
 
 
 def _function(tool: ToolSpec) -> dict[str, Any]:
@@ -205,6 +208,17 @@ def read_reply(document: Mapping[str, Any], usage: Usage) -> Reply:
         str(choice.finish_reason),
         usage,
     )
+
+
+def read_object(content: str | None) -> Mapping[str, Any]:
+    """One JSON object, alone or in one fence. Errors: LlmFailure: malformed"""
+    if content is None or not content.strip():
+        raise LlmFailure("malformed", "the answer is empty")
+    fenced = _FENCED.fullmatch(content)
+    try:
+        return parse_json(fenced["json"] if fenced else content, "the answer")
+    except DocumentError as error:
+        raise LlmFailure("malformed", str(error)) from None
 
 
 def assistant_message(reply: Reply) -> dict[str, Any]:

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Annotated, Any
 
-from edge.assistant.llm.answer import read_object
 from edge.assistant.llm.language_model import LanguageModel
-from edge.assistant.llm.wire import Schema
+from edge.assistant.llm.wire import Schema, read_object
 from edge.config.settings import ReferenceSettings
 from edge.core.errors import RequestError
 from edge.core.plain_text import plain

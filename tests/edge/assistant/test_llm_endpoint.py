@@ -8,12 +8,21 @@ import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from llm_parts import KEY, ScriptedLine, document, endpoint, ok, says
+from llm_parts import KEY, ScriptedLine, calls, document, endpoint, ok, says
 
 from edge.assistant.llm.endpoint import retry_after_s
 from edge.assistant.llm.failure import KINDS, LlmFailure
 from edge.assistant.llm.line import HttpResponse, Interrupt
-from edge.assistant.llm.wire import Schema, ToolSpec, Usage, read_document, read_reply, read_usage
+from edge.assistant.llm.wire import (
+    Schema,
+    ToolSpec,
+    Usage,
+    assistant_message,
+    read_document,
+    read_reply,
+    read_usage,
+    tool_message,
+)
 
 HELLO = [{"role": "user", "content": "hello"}]
 SCHEMA = Schema("answer", {"type": "object"})
@@ -32,11 +41,11 @@ def failure(folder: Path, line: ScriptedLine, deadline_s: float = 1000.0, **valu
 
 
 def test_a_request_has_the_wire_format(tmp_path: Path) -> None:
-    line = ScriptedLine(says("hi"))
+    line = ScriptedLine(says("{}"))
     with endpoint(tmp_path, line) as made:
         reply = made.chat(HELLO, [TOOL], temperature=1.0, schema=SCHEMA, deadline_s=5.0)
         made.chat(HELLO, schema=SCHEMA)
-    assert (reply.content, reply.finish_reason, reply.usage) == ("hi", "stop", Usage(100, 20))
+    assert (reply.content, reply.finish_reason, reply.usage) == ("{}", "stop", Usage(100, 20))
     body = line.bodies[0]
     assert body["tools"] == [
         {
@@ -131,11 +140,69 @@ def test_a_fired_interrupt_ends_the_retries(tmp_path: Path) -> None:
 
 
 def test_a_server_without_response_format_is_asked_without_it_from_then_on(tmp_path: Path) -> None:
-    line = ScriptedLine(error(400, "response_format is unknown"), says("{}"))
+    no = error(400, "response_format is unknown")
+    line = ScriptedLine(no, no, no, says("{}"))
     with endpoint(tmp_path, line) as made:
         assert made.chat(HELLO, schema=SCHEMA).content == "{}"
         made.chat(HELLO, schema=SCHEMA)
-    assert ["response_format" in body for body in line.bodies] == [True, False, False]
+    assert ["response_format" in body for body in line.bodies] == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize("status", [400, 422, 500])
+def test_a_server_that_knows_a_schema_in_another_place_is_found_out_once(tmp_path: Path, status: int) -> None:
+    line = ScriptedLine(error(status, "Input should be 'text' or 'json_object'"), says("{}"))
+    with endpoint(tmp_path, line) as made:
+        assert made.chat(HELLO, schema=SCHEMA).content == "{}"
+        made.chat(HELLO, schema=SCHEMA)
+    assert [body["response_format"] for body in line.bodies[1:]] == [
+        {"type": "json_object", "schema": {"type": "object"}}
+    ] * 2
+    assert line.pauses == []
+
+
+def test_a_server_that_has_answered_is_not_thought_to_refuse_its_form_later(tmp_path: Path) -> None:
+    line = ScriptedLine(says("{}"), error(500), error(400, "context too long"), says("{}"))
+    with endpoint(tmp_path, line) as made:
+        made.chat(HELLO, schema=SCHEMA)
+        with pytest.raises(LlmFailure, match="context too long"):
+            made.chat(HELLO, schema=SCHEMA)
+        made.chat(HELLO, schema=SCHEMA)
+    assert {body["response_format"]["type"] for body in line.bodies} == {"json_schema"}
+    assert len(line.pauses) == 1
+
+
+CALL = '{"tool": "look", "arguments": {"at": 3}}'
+
+
+@pytest.mark.parametrize("first", [error(500, "tools: unknown"), error(400), says("I would look first.")])
+def test_where_tools_are_not_spoken_natively_the_prompt_carries_them(
+    tmp_path: Path, first: HttpResponse
+) -> None:
+    line = ScriptedLine(first, says(CALL), says("{}"))
+    with endpoint(tmp_path, line) as made:
+        reply = made.chat(HELLO, [TOOL], schema=SCHEMA)
+        (call,) = reply.tool_calls
+        assert (reply.content, call.name, call.arguments) == (None, "look", '{"at": 3}')
+        told = [*HELLO, assistant_message(reply), tool_message(call, "<data>5</data>")]
+        assert made.chat(told, [TOOL], schema=SCHEMA).content == "{}"
+    asked = line.bodies[2]
+    assert "tools" not in asked
+    assert "- look: looks" in asked["messages"][0]["content"]
+    assert [message["role"] for message in asked["messages"]] == ["system", "user", "assistant", "user"]
+    assert json.loads(asked["messages"][2]["content"]) == json.loads(CALL)
+    assert asked["messages"][3]["content"] == "<data>5</data>"
+    call_form, answer_form = asked["response_format"]["json_schema"]["schema"]["anyOf"]
+    assert call_form["properties"]["tool"] == {"const": "look"}
+    assert answer_form == SCHEMA.schema
+
+
+def test_a_server_with_tools_that_answers_in_words_is_asked_again_in_the_form(tmp_path: Path) -> None:
+    line = ScriptedLine(calls("look", "{}"), says("Heat a little."), says("{}"))
+    with endpoint(tmp_path, line) as made:
+        assert made.chat(HELLO, [TOOL], schema=SCHEMA).tool_calls
+        assert made.chat(HELLO, [TOOL], schema=SCHEMA).content == "{}"
+    assert ["tools" in body for body in line.bodies] == [True, True, False]
+    assert line.bodies[2]["response_format"]["type"] == "json_schema"
 
 
 def test_a_server_that_wants_max_completion_tokens_gets_them(tmp_path: Path) -> None:
@@ -147,12 +214,12 @@ def test_a_server_that_wants_max_completion_tokens_gets_them(tmp_path: Path) -> 
 
 
 def test_a_request_that_is_refused_either_way_teaches_nothing(tmp_path: Path) -> None:
-    line = ScriptedLine(error(400, "context too long"), error(400, "context too long"), says("{}"))
+    line = ScriptedLine(*[error(400, "context too long")] * 4, says("{}"))
     with endpoint(tmp_path, line) as made:
         with pytest.raises(LlmFailure, match="bad_request"):
             made.chat(HELLO, schema=SCHEMA)
         made.chat(HELLO, schema=SCHEMA)
-    assert "response_format" in line.bodies[2]
+    assert line.bodies[4]["response_format"]["type"] == "json_schema"
 
 
 def test_no_failure_tells_the_key(tmp_path: Path) -> None:

@@ -1,0 +1,72 @@
+"""Tools for servers that do not speak of them: the prompt describes them, and a call is an answer in JSON."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from edge.assistant.llm.failure import LlmFailure
+from edge.assistant.llm.wire import Chat, Message, Reply, Schema, ToolCall, ToolSpec, read_object
+
+TOOL, ARGUMENTS = "tool", "arguments"
+_HEAD = (
+    "You have tools. To use one, answer with one JSON object and nothing else: "
+    f'{{"{TOOL}": <its name>, "{ARGUMENTS}": {{...}}}}. The next message holds its result. You may use tools '
+    "several times; when you know enough, answer in the form that is asked for. The tools:"
+)
+
+
+def without_native_tools(chat: Chat) -> Chat:
+    """Return a chat whose first message tells of its tools; earlier calls and results are plain texts."""
+    messages = [_without_calls(message) for message in chat.messages]
+    if not chat.tools:
+        return replace(chat, messages=messages)
+    described = "\n".join([_HEAD, *map(_describe, chat.tools)])
+    if messages and messages[0]["role"] == "system":
+        described = f"{messages.pop(0)['content']}\n\n{described}"
+    schema = None if chat.schema is None else _with_calls(chat.schema, chat.tools)
+    messages.insert(0, {"role": "system", "content": described})
+    return replace(chat, messages=messages, tools=(), schema=schema)
+
+
+def _with_calls(schema: Schema, tools: Sequence[ToolSpec]) -> Schema:
+    """Return the schema of an answer or a call of a tool."""
+    calls = [
+        {
+            "type": "object",
+            "properties": {TOOL: {"const": tool.name}, ARGUMENTS: dict(tool.parameters)},
+            "required": [TOOL, ARGUMENTS],
+            "additionalProperties": False,
+        }
+        for tool in tools
+    ]
+    return Schema(schema.name, {"anyOf": [*calls, dict(schema.schema)]})
+
+
+def read_call(reply: Reply) -> Reply:
+    """Return the reply with its content as a call of a tool, where it is one."""
+    try:
+        found = read_object(reply.content)
+    except LlmFailure:
+        return reply
+    if not isinstance(found.get(TOOL), str):
+        return reply
+    call = ToolCall("call-1", found[TOOL], json.dumps(found.get(ARGUMENTS, {})))
+    return replace(reply, content=None, tool_calls=(call,))
+
+
+def _describe(tool: ToolSpec) -> str:
+    return f"- {tool.name}: {tool.description} Its arguments by JSON schema: {json.dumps(tool.parameters)}"
+
+
+def _without_calls(message: Message) -> Message:
+    if message["role"] == "tool":
+        return {"role": "user", "content": message["content"]}
+    if calls := message.get("tool_calls"):
+        return {"role": "assistant", "content": "\n".join(map(_call_text, calls))}
+    return message
+
+
+def _call_text(call: Mapping[str, Any]) -> str:
+    function = call["function"]
+    return f'{{"{TOOL}": {json.dumps(function["name"])}, "{ARGUMENTS}": {function["arguments"]}}}'
