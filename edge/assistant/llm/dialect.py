@@ -1,4 +1,4 @@
-"""What a server can do beyond the common part of chat completions, learnt from its refusals and answers.
+"""Abilities of a server beyond the common part of chat completions, learnt from its refusals and answers.
 
 Of servers that call themselves compatible, one refuses `json_schema` with status 500, one ignores tools, one
 insists on another name for the length of an answer. Each difference is found once and remembered.
