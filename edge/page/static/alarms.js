@@ -1,6 +1,6 @@
 // Alarms that leave the page: how each channel has done, a test, and the alarms that are open.
 
-import { html, useEffect, useState } from "./vendor/preact-htm.js";
+import { html, useEffect, useState } from "./ui.js";
 import { call } from "./api.js";
 import { Do, clock } from "./parts.js";
 

@@ -1,6 +1,6 @@
 // The page: who looks, what the rig does, and the parts below each other.
 
-import { html, render, useEffect, useErrorBoundary, useMemo, useRef, useState } from "./vendor/preact-htm.js";
+import { html, render, useEffect, useErrorBoundary, useMemo, useRef, useState } from "./ui.js";
 import { call, follow } from "./api.js";
 import { Alarms } from "./alarms.js";
 import { Calibration } from "./calibration.js";

@@ -1,6 +1,6 @@
 // Calibration of a sensor, step by step: bring it into a known state, say what is true, look, apply.
 
-import { html, useState } from "./vendor/preact-htm.js";
+import { html, useState } from "./ui.js";
 import { call } from "./api.js";
 import { Do } from "./parts.js";
 

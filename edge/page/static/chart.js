@@ -1,6 +1,6 @@
 // One course in two rows: temperatures above, what drives them below, on one axis of time.
 
-import { html, useEffect, useRef } from "./vendor/preact-htm.js";
+import { html, useEffect, useRef } from "./ui.js";
 
 const HOUR = 3600;
 const AHEAD = HOUR; // shown beyond now [s]

@@ -1,6 +1,6 @@
 // Models in use, the reports of diagnoses, and the history as a file.
 
-import { html, useEffect, useRef, useState } from "./vendor/preact-htm.js";
+import { html, useEffect, useRef, useState } from "./ui.js";
 import { call } from "./api.js";
 import { Do } from "./parts.js";
 

@@ -1,6 +1,6 @@
 // The parts of the page. What is shown of heater and fan is what the board has echoed, and how old that is.
 
-import { html, useEffect, useState } from "./vendor/preact-htm.js";
+import { html, useEffect, useState } from "./ui.js";
 import { call } from "./api.js";
 
 export const degrees = (value, digits = 1) => (value == null ? "–" : `${value.toFixed(digits)} °C`);
@@ -129,8 +129,8 @@ export function Controls({ view, me, done }) {
       ${MODES.map(([mode, words]) => html`<${Do} key=${mode} kind=${operation.mode === mode ? "on" : ""} act=${() => order({ do: "set_mode", mode })}>${words}<//>`)}
     </div>
     <div class="row"><label class="label" for="controller">Controller</label>
-      <select id="controller" onChange=${(event) => order({ do: "set_controller", name: event.target.value }).catch((error) => alert(error.message))}>
-        ${[...new Set([operation.controller, ...me.controllers])].map((name) => html`<option key=${name} selected=${name === operation.controller}>${name}</option>`)}
+      <select id="controller" value=${operation.controller} onChange=${(event) => order({ do: "set_controller", name: event.target.value }).catch((error) => alert(error.message))}>
+        ${[...new Set([operation.controller, ...me.controllers])].map((name) => html`<option key=${name} value=${name}>${name}</option>`)}
       </select>
     </div>
     <div class="row"><span class="label">Maintenance</span>

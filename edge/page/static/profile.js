@@ -1,6 +1,6 @@
 // A profile: targets over days that somebody draws, types or loads; how far it is, and orders to it.
 
-import { html, useRef, useState } from "./vendor/preact-htm.js";
+import { html, useRef, useState } from "./ui.js";
 import { call } from "./api.js";
 import { Do, degrees } from "./parts.js";
 

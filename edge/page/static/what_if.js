@@ -1,6 +1,6 @@
 // "What if": another heater, tighter walls, a weaker fan, as the twin that runs answers it.
 
-import { html, useState } from "./vendor/preact-htm.js";
+import { html, useState } from "./ui.js";
 import { call } from "./api.js";
 import { Do } from "./parts.js";
 
