@@ -1,13 +1,12 @@
 """Answers of a fitted twin to *what if*: another heater, tighter walls, a weaker fan; with intervals.
 
-Twins are drawn from the intervals of a twin file and their correlations, and each gives an answer. Two things
-no fit can tell are drawn with them. The error of free runs over rows that no fit saw acts as an error of the
-room. In warmer air than the fit has seen, losses grow by up to the power `BENT_MAX` more than in proportion.
+Twins are drawn from the intervals of a twin file and their correlations, and each gives an answer. A fit
+leaves further things open, and each twin is drawn with its own `_Doubt` about them.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -18,7 +17,8 @@ from edge.core.errors import RequestError
 from edge.twin.box_words import wall
 from edge.twin.constant_inputs import ConstantInputs, SteadyTwin
 from edge.twin.draws import drawn_twins, even_normals
-from edge.twin.effects.loss import WALL_CONDUCTANCES
+from edge.twin.effects.library import EFFECTS, nameless
+from edge.twin.effects.loss import WALL_CAPACITIES, WALL_CONDUCTANCES
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import resistance_m2_k_w
 from edge.twin.twin_file import Place, TwinFile
@@ -27,11 +27,16 @@ from edge.twin.value import Value
 Floats = NDArray[np.float64]
 DRAWS = 200  # the ends of an interval of 90 % are then known to about a tenth of its width
 LEVELS = (0.05, 0.5, 0.95)
-BENT_MAX = 1.0 / 3.0  # turbulent natural convection, Nu ~ Ra^(1/3), Incropera & DeWitt, ch. 9
+# Films have 0.25 to 0.33, air that rises out of leaks 0.5 (ASHRAE Fundamentals 2017, ch. 4 and 16). Wet soil,
+# whose vapour doubles with every 11 K, and a heater whose power falls when hot come near 1.
+BENT_MAX = 1.0
+MIDDLE = 0.6  # of the warmest over the room: root mean square of rows that are spread evenly
+LOSS_MIN = 0.2  # of the fit's, where heat of no known cause would leave nothing
+STEPS = 9  # of air temperatures at which that heat is looked at
 SEEN_MIN_K = 5.0  # over the room; a box in tests is warmed by more
 # Leaks, seams and the floor are walls to a fit; so are films, which do not change with the thickness as ISO
 # 6946 has them. Of the virtual board's chamber two thirds are conducted (bench/what_if.py).
-WALL_SHARE_MIN = 0.5
+WALL_SHARE_MIN = 1.0 / 3.0
 WALL_KNOWN = 3.0  # times, from end to end of an interval of the walls' loss
 WALL_PLACES: tuple[Place, ...] = tuple(("effects", effect, key) for effect, key in WALL_CONDUCTANCES)
 _NORMAL = NormalDist()
@@ -44,11 +49,13 @@ DARK = {"light": 0.0, "solar": 0.0, "rel_humidity": HUMIDITY_PCT}
 class TwinChange:
     """A change of the greenhouse; None: as it is.
 
-    wall_factor : times the conduction through the walls; fan : share of the present flow
+    wall_factor : times the conduction through the walls; wall_thickness : times their thickness and mass
+    fan : share of the present flow
     """
 
     heater_w: float | None = None
     wall_factor: float | None = None
+    wall_thickness: float = 1.0
     fan: float | None = None
 
 
@@ -106,50 +113,66 @@ class Outlook:
     sure: float
 
 
-@dataclass(frozen=True, slots=True)
-class Unseen:
-    """The bounds of what a fit has seen, by its file; NaN where the file does not say.
+class Seen(NamedTuple):
+    """The rows of a fit, by its file; NaN where the file does not say.
 
-    seen_c, seen_k : warmest air, and over the room; error_k : of free runs over rows that no fit saw
+    warmest_c, above_k : warmest air, and over the room; error_k : of free runs over rows that no fit saw
+    seconds : at a time, 0 where the file does not say
     """
 
-    seen_c: float
-    seen_k: float
+    warmest_c: float
+    above_k: float
     error_k: float
+    seconds: float
 
     @classmethod
-    def of(cls, file: TwinFile) -> "Unseen":
+    def of(cls, file: TwinFile) -> "Seen":
         """Read them from the provenance."""
-        air = provenance_numbers(file, "validity", "temp_air_c")
-        room = provenance_numbers(file, "validity", "temp_ambient_c")
+        air, room, hours = (
+            provenance_numbers(file, "validity", key) for key in ("temp_air_c", "temp_ambient_c", "hours")
+        )
         error = provenance_numbers(file, "after", "test", "rmse_k")
-        seen_k = max(air[-1] - sum(room) / len(room), SEEN_MIN_K) if air and room else math.nan
-        return cls(air[-1] if air else math.nan, seen_k, error[0] if error else math.nan)
+        above_k = max(air[-1] - sum(room) / len(room), SEEN_MIN_K) if air and room else math.nan
+        return cls(
+            air[-1] if air else math.nan,
+            above_k,
+            error[0] if error else math.nan,
+            3600.0 * hours[0] if hours else 0.0,
+        )
 
-    def twin_c(self, box_c: float, room_c: float, bent: float) -> float:
-        """Return the air of the twin that loses as much as the box at `box_c`."""
-        return self._bend(box_c, room_c, 1.0 + bent)
 
-    def box_c(self, twin_c: float, room_c: float, bent: float) -> float:
-        """Return the air of the box that loses as much as the twin at `twin_c`."""
-        return self._bend(twin_c, room_c, 1.0 / (1.0 + bent))
+class _Doubt(NamedTuple):
+    """What a fit leaves open, as one draw has it. Shares are from 0 to 1.
 
-    def _bend(self, temp_c: float, room_c: float, power: float) -> float:
-        excess_k = temp_c - room_c
-        if not excess_k > self.seen_k:  # NaN lands here too
-            return temp_c
-        return float(room_c + self.seen_k * (excess_k / self.seen_k) ** power)
+    room_k : error of the room, as large as that of free runs over rows that no fit saw
+    loss : factor of all heat that leaves or is stored, which makes that error in the middle of the rows
+    bent : power by which losses grow in warmer air than the rows had, beyond proportion
+    through_walls : share of what the twin counts as loss of the walls that they conduct
+    stored_in_walls : share of what the twin counts as stored near the air that is stored in the walls
+    lost : share of the heat into slow bodies that leaves them for the room
+    then : heat of no known cause in the middle of the rows, between its least and its most in all of them
+    now : share of it that goes on
+    """
+
+    room_k: float
+    loss: float
+    bent: float
+    through_walls: float
+    stored_in_walls: float
+    lost: float
+    then: float
+    now: float
 
 
 class _Draw(NamedTuple):
-    """An answer of one twin: temperatures [°C], times [s], shares of the heater's power."""
+    """An answer of one twin: temperatures [°C], times [s], duties."""
 
     reach_c: float
     fanned_c: float
     cooling_s: float
     warming_s: float
-    target_share: float
-    hold_share: float
+    target_duty: float
+    hold_duty: float
 
 
 def outlooks(file: TwinFile, asked: WhatIf, duty_max: float) -> tuple[Outlook, Outlook | None]:
@@ -165,14 +188,16 @@ def outlooks(file: TwinFile, asked: WhatIf, duty_max: float) -> tuple[Outlook, O
     return now, None if is_same else _outlook(file, drawn, asked.change, asked, duty_max)
 
 
-def wall_factor(present: str, new_mm: float) -> float:
-    """Return the factor of conduction through walls of the same material and another thickness, ISO 6946.
+def other_walls(present: str, new_mm: float) -> tuple[float, float]:
+    """Return `wall_factor` and `wall_thickness` for the same material and another thickness, ISO 6946.
 
     present : like `polycarbonate:8mm`
     Errors : RequestError
     """
     material, thickness_m = wall(present)
-    return resistance_m2_k_w(material, thickness_m) / resistance_m2_k_w(material, 1e-3 * new_mm)
+    new_m = 1e-3 * new_mm
+    factor = resistance_m2_k_w(material, thickness_m) / resistance_m2_k_w(material, new_m)
+    return factor, new_m / thickness_m
 
 
 def provenance_numbers(file: TwinFile, *keys: str) -> list[float]:
@@ -190,17 +215,13 @@ def _outlook(
 ) -> Outlook:
     heater_w = file.geometry["heater_max_w"].value if change.heater_w is None else change.heater_w
     fan = None if file.fan_role != "exhaust" else 1.0 if change.fan is None else change.fan
-    unseen = Unseen.of(file)
-    most_k = 0.0 if math.isnan(unseen.error_k) else unseen.error_k
+    seen = Seen.of(file)
     # The same draws for now and with the change, which so differ by the change alone.
-    errors, *levels = even_normals(len(drawn), 3).T.tolist()
-    bends, walls = ([_NORMAL.cdf(sds) for sds in column] for column in levels)
-    found = []
-    for own, error, bend, through in zip(drawn, errors, bends, walls, strict=True):
-        twin = _with_change(own, change, WALL_SHARE_MIN + (1.0 - WALL_SHARE_MIN) * through).twin()
-        felt_c = asked.room_c + most_k * error
-        found.append(_draw(twin, fan, asked, duty_max, unseen, felt_c, BENT_MAX * bend))
-    reach_c, fanned_c, cooling_s, warming_s, target_share, hold_share = np.array(found).T
+    found = [
+        _draw(own, change, fan, asked, duty_max, seen, doubt)
+        for own, doubt in zip(drawn, _doubts(seen, len(drawn)), strict=True)
+    ]
+    reach_c, fanned_c, cooling_s, warming_s, target_duty, hold_duty = np.array(found).T
     is_cooled = fan is not None and asked.target_c > asked.room_c
     return Outlook(
         heater_w,
@@ -208,47 +229,103 @@ def _outlook(
         None if fan is None else Quantity.of(fanned_c),
         Quantity.of(cooling_s / 60.0) if is_cooled else None,
         Quantity.of(warming_s / 60.0),
-        Quantity.of(heater_w * np.maximum(target_share, 0.0)),
-        Quantity.of(24e-3 * heater_w * np.clip(hold_share, 0.0, duty_max)),
-        float(np.mean(target_share <= duty_max)),
+        Quantity.of(heater_w * np.maximum(target_duty, 0.0)),
+        Quantity.of(24e-3 * heater_w * np.clip(hold_duty, 0.0, duty_max)),
+        float(np.mean(target_duty <= duty_max)),
     )
 
 
+def _doubts(seen: Seen, count: int) -> Iterator[_Doubt]:
+    error_k = 0.0 if math.isnan(seen.error_k) else seen.error_k
+    relative = 0.0 if math.isnan(seen.above_k) else error_k / (MIDDLE * seen.above_k)
+    for room, loss, *others in even_normals(count, len(_Doubt._fields)).tolist():
+        bent, walls, *shares = (_NORMAL.cdf(sds) for sds in others)
+        through_walls = WALL_SHARE_MIN + (1.0 - WALL_SHARE_MIN) * walls
+        # Squared, as most boxes have films and leaks alone.
+        yield _Doubt(error_k * room, math.exp(relative * loss), BENT_MAX * bent**2, through_walls, *shares)
+
+
 def _draw(
-    twin: BoxTwin,
+    file: TwinFile,
+    change: TwinChange,
     fan: float | None,
     asked: WhatIf,
     duty_max: float,
-    unseen: Unseen,
-    felt_c: float,
-    bent: float,
+    seen: Seen,
+    doubt: _Doubt,
 ) -> _Draw:
-    """Ask one twin. felt_c : room with its error; bent : power by which losses grow in unseen air"""
-    room_c, signals = asked.room_c, twin.signals
-    columns = {name: {**DARK, "utc": asked.utc}[name] for name in twin.needs}
-    still = SteadyTwin(twin, ConstantInputs(felt_c, 0.0, columns))
-    target_c, hold_c = (unseen.twin_c(temp_c, room_c, bent) for temp_c in (asked.target_c, asked.hold_c))
+    room_c, target_c = asked.room_c, asked.target_c
+    twin = _with_change(file, change, doubt, doubt.loss * _hidden_loss(file, asked, seen, doubt)).twin()
+    signals = twin.signals
+    plain = ConstantInputs(room_c + doubt.room_k, 0.0, _columns(twin, asked), None, doubt.lost, seen.seconds)
+    inputs = replace(plain, more_w=_bent_w(twin, plain, room_c, seen, doubt))
+    still = SteadyTwin(twin, inputs)
     fanned_c = cooling_s = math.nan
     if fan is not None:
-        blown = SteadyTwin(twin, ConstantInputs(felt_c, fan, columns))
+        blown = SteadyTwin(twin, replace(inputs, fan=fan))
         fanned_c, dead_s = blown.final_c(0.0), signals.fan_dead_s + signals.fan_lag_s
         cooling_s = blown.time_s(still.rest_at(target_c), 0.5 * (target_c + room_c), 0.0, dead_s)
     warming_s = 0.0
     if target_c > asked.start_c:
         warming_s = still.time_s(still.rest_at(asked.start_c), target_c, duty_max, signals.heater_dead_s)
-    reach_c = unseen.box_c(still.final_c(duty_max), room_c, bent)
-    shares = still.share_to_hold(target_c), still.share_to_hold(hold_c)
-    return _Draw(reach_c, fanned_c, cooling_s, warming_s, *shares)
+    duties = still.duty_to_hold(target_c), still.duty_to_hold(asked.hold_c)
+    return _Draw(still.final_c(duty_max), fanned_c, cooling_s, warming_s, *duties)
 
 
-def _with_change(file: TwinFile, change: TwinChange, through_walls: float) -> TwinFile:
-    """through_walls : share of what the twin counts as loss of the walls that they conduct"""
+def _hidden_loss(file: TwinFile, asked: WhatIf, seen: Seen, doubt: _Doubt) -> float:
+    """Return the factor of all losses where the rows had other heat of no known cause than the twin has.
+
+    The sun is not there for cool rows alone. Heat that a fit missed in warm ones it took off the losses.
+    """
+    twin = file.twin()
+    unknown = {name: twin.effects[name] for name in nameless(twin.effects)}
+    if not unknown or math.isnan(seen.above_k):
+        return 1.0
+    coldest_c, middle_c = (seen.warmest_c - share * seen.above_k for share in (1.0, 1.0 - MIDDLE))
+    temps = np.array([middle_c, *np.linspace(coldest_c, seen.warmest_c, STEPS)])
+    off = {"heater_duty": np.zeros(())}
+    found = BoxTwin(twin.geometry, unknown).signals.heat_w(temps, np.array(coldest_c), off, by_temp=True)
+    middle_w, *all_w = np.broadcast_to(found, temps.shape).tolist()
+    least_w, most_w = min(all_w), max(all_w)
+    steady = SteadyTwin(twin, ConstantInputs(coldest_c, 0.0, _columns(twin, asked)))
+    lost_w = twin.geometry.heater_max_w * steady.share_to_hold(middle_c) + middle_w
+    more_w = least_w + doubt.then * (most_w - least_w) - middle_w
+    return max(1.0 + more_w / lost_w, LOSS_MIN) if lost_w > 0.0 else 1.0
+
+
+def _bent_w(
+    twin: BoxTwin, inputs: ConstantInputs, room_c: float, seen: Seen, doubt: _Doubt
+) -> Callable[[float], float] | None:
+    """Return the heat [W] by which losses in warmer air than the rows had are out of proportion."""
+    if math.isnan(seen.above_k):
+        return None
+    lost_w = twin.geometry.heater_max_w * SteadyTwin(twin, inputs).share_to_hold(room_c + seen.above_k)
+
+    def more_w(temp_c: float) -> float:
+        times = max((temp_c - room_c) / seen.above_k, 1.0)
+        return lost_w * (times - math.pow(times, 1.0 + doubt.bent))
+
+    return more_w
+
+
+def _columns(twin: BoxTwin, asked: WhatIf) -> dict[str, float]:
+    return {name: {**DARK, "utc": asked.utc}[name] for name in twin.needs}
+
+
+def _with_change(file: TwinFile, change: TwinChange, doubt: _Doubt, loss: float) -> TwinFile:
     values = file.values()
-    changed = {} if change.heater_w is None else {HEATER: Value(change.heater_w)}
+    heater_w = values[HEATER].value if change.heater_w is None else change.heater_w
+    changed = {HEATER: Value(heater_w / loss)}
+    for name in nameless(file.effects):
+        place = ("effects", name, EFFECTS[name].parameters[0].name)
+        changed[place] = Value(doubt.now * values[place].value)
     if change.wall_factor is not None:
-        walls = [place for place in WALL_PLACES if place in values]
-        factor = 1.0 + through_walls * (change.wall_factor - 1.0)
-        changed |= {place: Value(factor * values[place].value) for place in walls}
+        factor = 1.0 + doubt.through_walls * (change.wall_factor - 1.0)
+        changed |= {place: Value(factor * values[place].value) for place in WALL_PLACES if place in values}
+        times = 1.0 + doubt.stored_in_walls * (change.wall_thickness - 1.0)
+        for effect, key, none in WALL_CAPACITIES:
+            if (place := ("effects", effect, key)) in values:
+                changed[place] = Value(none + times * (values[place].value - none))
     return file.with_values(changed)
 
 

@@ -10,14 +10,14 @@ from edge.app.what_if import (
     WALL_SHARE_MIN,
     Outlook,
     Quantity,
+    Seen,
     TwinChange,
-    Unseen,
     WhatIf,
-    provenance_numbers,
 )
 from edge.config.settings import Settings
 from edge.twin.draws import CORRELATION, uncertain
 from edge.twin.effects.heater import heater_lag
+from edge.twin.effects.library import nameless
 from edge.twin.twin_file import TwinFile
 
 SURE = 0.95  # share of the draws for a plain yes or no
@@ -98,26 +98,30 @@ EXPERIENCE = (  # python -m bench.what_if
 def unknowns_of(file: TwinFile, asked: WhatIf, found: Outlook) -> Iterator[str]:
     """Yield what the twin does not know, and what is assumed in its place."""
     yield EXPERIENCE
-    spreads, unseen = uncertain(file), Unseen.of(file)
+    spreads, seen = uncertain(file), Seen.of(file)
     places = [("effects", name, key) for name, own in file.effects.items() for key in own]
     if exact := [".".join(place[1:]) for place in places if place not in spreads]:
         yield f"Taken as exact, as the twin's file has no interval: {', '.join(exact)}."
     if len(spreads) > 1 and CORRELATION not in file.provenance:
         yield "The twin's file has no correlations: its values are taken as independent of each other."
-    if math.isnan(unseen.error_k):
+    if math.isnan(seen.error_k):
         yield "The twin's file has no error over rows that no fit saw: none is in the intervals."
-    if math.isnan(unseen.seen_k):
+    if math.isnan(seen.above_k):
         yield "The twin's file does not say how warm the air was in its fit."
-    elif max(found.reach_c.high, asked.target_c) - asked.room_c > unseen.seen_k:
+    elif max(found.reach_c.high, asked.target_c) - asked.room_c > seen.above_k:
         yield (
-            f"The fit saw air up to {unseen.seen_c:.1f} °C, {unseen.seen_k:.0f} K over the room. Beyond, "
-            f"losses may grow by up to the power {BENT_MAX:.2f} more than in proportion, as films do."
+            f"The fit saw air up to {seen.warmest_c:.1f} °C, {seen.above_k:.0f} K over the room. Beyond, "
+            f"losses may grow by up to the power {BENT_MAX:g} more than in proportion, as by wet soil."
         )
-    hours = provenance_numbers(file, "validity", "hours")
-    if hours and hours[0] < SHORT_H:
+    if nameless(file.effects):
         yield (
-            f"The fit saw {hours[0]:.1f} h at a time: the twin does not know soil, floor and whatever else "
-            "warms more slowly. After a day of heat less power may do."
+            "The twin has heat of no known cause, maybe the sun. None to all of it is taken to go on, and "
+            "the tests may have had more or less of it than the twin has."
+        )
+    if 0.0 < seen.seconds < 3600.0 * SHORT_H:
+        yield (
+            f"The fit saw {seen.seconds / 3600.0:.1f} h at a time: a body that warms more slowly may store "
+            "the heat that it takes or pass it on. After a day of heat less power may do, or more."
         )
     rated_w = file.geometry["heater_max_w"].value
     yield f"All watts are in proportion to the present heater's, which is taken to give {rated_w:g} W."
@@ -130,9 +134,11 @@ def _of_change(file: TwinFile, change: TwinChange) -> Iterator[str]:
     if change.heater_w is not None and heater_lag.__name__ in file.effects:
         yield "The other heater is taken to be as slow as the present one."
     if change.wall_factor is not None:
+        heavy = change.wall_thickness != 1.0
+        mass = f"may store {change.wall_thickness:.2g} times as much" if heavy else "keep their mass"
         yield (
-            f"The walls conduct {change.wall_factor:.2f} times as much, and their mass stays. A fit counts "
-            f"leaks and the floor as walls: {WALL_SHARE_MIN:.0%} to all of that loss is taken to change."
+            f"The walls conduct {change.wall_factor:.2f} times as much and {mass}. A fit counts leaks, "
+            f"windows and the floor as walls: {WALL_SHARE_MIN:.0%} to all of that loss is taken to change."
         )
     if change.fan is not None:
         yield "The fan's share is of its flow, in the mean of a step."

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.app.serving_twin import ServingTwin, serving_twin
-from edge.app.what_if import Outlook, Quantity, TwinChange, WhatIf, outlooks, wall_factor
+from edge.app.what_if import Outlook, Quantity, TwinChange, WhatIf, other_walls, outlooks
 from edge.app.what_if_words import HeatLimits, settings_in_the_way, span, unknowns_of, verdict
 from edge.commands.arguments import number
 from edge.commands.bundle import settings_of
@@ -111,7 +111,7 @@ def _question(arguments: argparse.Namespace, settings: Settings) -> WhatIf:
     room_c = room_c if arguments.room is None else arguments.room
     target_c = reference_c if arguments.reach is None else arguments.reach
     return WhatIf(
-        TwinChange(arguments.heater_w, _walls(arguments), arguments.fan),
+        TwinChange(arguments.heater_w, *_walls(arguments), arguments.fan),
         target_c,
         room_c,
         room_c if arguments.start is None else arguments.start,
@@ -120,16 +120,17 @@ def _question(arguments: argparse.Namespace, settings: Settings) -> WhatIf:
     )
 
 
-def _walls(arguments: argparse.Namespace) -> float | None:
+def _walls(arguments: argparse.Namespace) -> tuple[float | None, float]:
+    """Return how many times as much they conduct, and as thick they are."""
     if arguments.walls_mm is None:
-        return None if arguments.wall_factor is None else float(arguments.wall_factor)
+        return arguments.wall_factor, 1.0
     if arguments.wall_factor is not None:
         raise RequestError("--walls-mm and --wall-factor say the same in two ways: give one of them")
     if arguments.wall is None:
         raise RequestError(
             "--walls-mm needs the present walls, --wall polycarbonate:8mm; or give --wall-factor"
         )
-    return wall_factor(arguments.wall, arguments.walls_mm)
+    return other_walls(arguments.wall, arguments.walls_mm)
 
 
 def _present(settings: Settings) -> dict[str, float]:

@@ -5,7 +5,7 @@ the way to a target its secant between start and target stands for it.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from edge.core.errors import DataError
 from edge.twin.discretisation import exponential
 from edge.twin.model import DAY_S, BoxTwin
-from edge.twin.network import AIR
+from edge.twin.network import AIR, HEATER, SENSOR, UPPER
 
 Floats = NDArray[np.float64]
 MOMENT_S = 1.0  # resolution of a time to a target
 DOUBLINGS = 20  # of MOMENT_S, so that a way of up to 12 days is seen
 ROUNDS, CLOSE_K, CLOSE_SHARE = 60, 1e-6, 1e-9  # of the searches for a final temperature and a command
 NARROW_K = 0.05  # least distance of a secant's ends
-NO_HEAT = 1e-9  # of the duty that a kelvin takes, below which the heater does not warm the air
+DUTIES = 201  # at which a heater's power is looked up
+FIRST_K, FARTHEST_K = 2.0, 1e4  # steps from the room to beyond a final temperature
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +31,17 @@ class ConstantInputs:
 
     room_c : as the rig's sensor shows it [°C]; fan : speed as share of the full flow, 0..1
     columns : values of the further columns that the twin needs, `utc` among them
+    more_w : heat into the air beside the twin's, by the air's temperature
+    lost : share of the heat into bodies that only store which they pass on to the room; less in a quick body,
+        for which a fit over `seen_s` would have shown it
     """
 
     room_c: float
     fan: float = 0.0
     columns: Mapping[str, float] = field(default_factory=dict)
+    more_w: Callable[[float], float] | None = None
+    lost: float = 0.0
+    seen_s: float = 0.0
 
 
 class SteadyTwin:
@@ -53,16 +60,28 @@ class SteadyTwin:
         self._rates = system.rates + inputs.fan * system.fan_rates + day * system.other_rates[1]
         self._drive = system.drive + inputs.fan * system.fan_drive + day * system.other_drive[1]
         self._per_w = self._drive[:, 2] / system.air_capacity_j_k
+        self._more_w, self._bends = inputs.more_w, signals.bends or inputs.more_w is not None
+        for i, name in enumerate(system.states):
+            if name not in (AIR, UPPER, HEATER, SENSOR) and self._drive[i, 1] == 0.0:
+                self._lose(i, inputs.lost * math.exp(inputs.seen_s * self._rates[i, i]))
         self._room = np.array(inputs.room_c)
         self._columns = {name: np.array(value) for name, value in inputs.columns.items()}
         self._columns |= {"fan_on": np.array(inputs.fan), "heater_duty": np.array(0.0)}
         still_w = signals.heat_w(np.zeros(()), self._room, self._columns, by_temp=False)
         self._given = self._drive[:, 1] * float(signals.room(self._room)) + self._per_w * float(still_w)
 
+    def duty_to_hold(self, temp_c: float) -> float:
+        """Return the duty that holds the air; below 0 where it had to be cooled, above 1 out of reach."""
+        share, duties = self.share_to_hold(temp_c), np.linspace(0.0, 1.0, DUTIES)
+        shares = self._signals.duty(duties)
+        if 0.0 < share < shares[-1]:
+            return float(np.interp(share, shares, duties))
+        return share if share <= 0.0 else share / float(shares[-1])
+
     def share_to_hold(self, temp_c: float) -> float:
         """Return the share of the heater's power that holds the air; below 0 where it had to be cooled."""
         share = self._share(temp_c, 0.0)
-        for _ in range(ROUNDS if self._signals.bends else 0):  # heat may depend on the command as well
+        for _ in range(ROUNDS if self._bends else 0):  # heat may depend on the command as well
             before, share = share, self._share(temp_c, min(max(share, 0.0), 1.0))
             if abs(share - before) < CLOSE_SHARE:
                 break
@@ -70,18 +89,27 @@ class SteadyTwin:
 
     def final_c(self, duty: float) -> float:
         """Return the air after all has settled at a duty [°C]. Errors: DataError where nothing settles"""
-        share = float(self._signals.duty(np.array(duty)))
-        near, far = float(self._room), float(self._room) + 10.0
-        missed = self._share(near, duty) - share
-        for _ in range(ROUNDS):
-            other = self._share(far, duty) - share
-            slope = (other - missed) / (far - near)
-            if not slope > NO_HEAT:
+        given = float(self._signals.duty(np.array(duty)))
+        near = float(self._room)
+        missed = self._share(near, duty) - given
+        step = -math.copysign(FIRST_K, missed)
+        far, other = near, missed
+        while other * missed > 0.0:  # heat that bends may take the same command at several temperatures
+            near, missed, far, step = far, other, far + step, 2.0 * step
+            other = self._share(far, duty) - given
+            if not abs(step) < FARTHEST_K:
                 raise DataError("the twin's heater does not warm the air, or nothing leaves the box")
-            near, far, missed = far, far - other / slope, other
-            if abs(far - near) < CLOSE_K:
+        for _ in range(ROUNDS):  # regula falsi, Illinois: Dowell & Jarratt 1971, BIT 11
+            if abs(far - near) < CLOSE_K or other == 0.0:
                 return far
-        raise DataError("the twin's balance has no temperature at which it settles")
+            between = far - other * (far - near) / (other - missed)
+            here = self._share(between, duty) - given
+            if here * other < 0.0:
+                near, missed = far, other
+            else:
+                missed *= 0.5
+            far, other = between, here
+        return far
 
     def rest_at(self, temp_c: float) -> Floats:
         """Return the state [n] at rest with the heat, or the cold, that holds the air at `temp_c`."""
@@ -127,11 +155,18 @@ class SteadyTwin:
 
     def _bent_w(self, temp_c: float, duty: float) -> float:
         columns = {**self._columns, "heater_duty": np.array(duty)}
-        return float(self._signals.heat_w(np.array(temp_c), self._room, columns, by_temp=True))
+        more_w = self._more_w(temp_c) if self._more_w else 0.0
+        return more_w + float(self._signals.heat_w(np.array(temp_c), self._room, columns, by_temp=True))
+
+    def _lose(self, body: int, share: float) -> None:
+        """Connect a body to the room, so that in the end a share of what flows into it goes there."""
+        to_room = -self._rates[body, body] * share / (1.0 - share)
+        self._rates[body, body] -= to_room
+        self._drive[body, 1] += to_room
 
     def _secant(self, start_c: float, target_c: float, duty: float) -> tuple[float, float]:
         """Return slope [W/K] and level [W] of the heat that bends."""
-        if not self._signals.bends:
+        if not self._bends:
             return 0.0, 0.0
         low, high = sorted((start_c, target_c))
         high = max(high, low + NARROW_K)

@@ -80,6 +80,11 @@ USUAL_EFFECTS: dict[str, Effect] = {
 }
 
 
+def nameless(effects: Iterable[str]) -> list[str]:
+    """Return the effects that stand for a cause that was not found."""
+    return [name for name in effects if EFFECTS[name].offer is Offer.NAMELESS]
+
+
 def add_effect(effect: Effect) -> None:
     """Make an effect known to this process, as if it stood in this folder; before any diagnosis begins.
 

@@ -23,6 +23,8 @@ _TANGENT_K = 298.15  # where radiation is linearised; what is left over is heat 
 
 # Effect and parameter of each conductance that other walls change.
 WALL_CONDUCTANCES = (("wall_mass", "G_in"), ("wall_mass", "G_out"), ("wall_loss", "UA"))
+# And of each capacity that they may be part of, with its value without any.
+WALL_CAPACITIES = (("wall_mass", "C_w", 0.0), ("extra_capacity", "kC", 1.0))
 
 
 def wall_loss(network: Network, UA: float) -> None:

@@ -66,7 +66,12 @@ def test_the_answer_is_a_sentence_a_table_and_what_it_rests_on(
 def test_json_is_what_the_table_says(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert asked(rig, *OPTIONS, "--heater-w", "30", "--json") == 0
     found = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert found["question"]["change"] == {"heater_w": 30.0, "wall_factor": None, "fan": None}
+    assert found["question"]["change"] == {
+        "heater_w": 30.0,
+        "wall_factor": None,
+        "wall_thickness": 1.0,
+        "fan": None,
+    }
     assert found["question"]["start_c"] == 20.0
     rows = {row["row"]: row for row in found["rows"]}
     never = rows["to the target at full heat"]["changed"]
@@ -75,13 +80,19 @@ def test_json_is_what_the_table_says(rig: Path, capsys: pytest.CaptureFixture[st
     assert "No: " in found["verdict"]
 
 
-def test_walls_by_thickness_are_walls_by_a_factor(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_walls_by_thickness_are_walls_by_a_factor_and_heavier(
+    rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     thick = ("--walls-mm", "16", "--wall", "polycarbonate:8mm")
     tables = []
     for words in (thick, ("--wall-factor", str(0.30 / 0.34))):
         assert asked(rig, *OPTIONS, *words, "--json") == 0
-        tables.append(json.loads(capsys.readouterr().out)["rows"])
-    assert [row["changed"]["text"] for row in tables[0]] == [row["changed"]["text"] for row in tables[1]]
+        rows = json.loads(capsys.readouterr().out)["rows"]
+        tables.append({row["row"]: row["changed"] for row in rows})
+    for row in ("full heat for good", "to hold the target", "a day at the reference"):
+        assert tables[0][row] == tables[1][row]
+    slow, usual = (table["to the target at full heat"]["high"] for table in tables)
+    assert slow > 1.1 * usual
 
 
 @pytest.mark.parametrize(
