@@ -299,7 +299,9 @@ def _bent_w(
     """Return the heat [W] by which losses in warmer air than the rows had are out of proportion."""
     if math.isnan(seen.above_k):
         return None
-    lost_w = twin.geometry.heater_max_w * SteadyTwin(twin, inputs).share_to_hold(room_c + seen.above_k)
+    steady = SteadyTwin(twin, inputs)
+    low, high = (steady.share_to_hold(temp_c) for temp_c in (room_c, room_c + seen.above_k))
+    lost_w = max(twin.geometry.heater_max_w * (high - low), 0.0)
 
     def more_w(temp_c: float) -> float:
         times = max((temp_c - room_c) / seen.above_k, 1.0)

@@ -146,11 +146,12 @@ def _of_change(file: TwinFile, change: TwinChange) -> Iterator[str]:
 
 def span(quantity: Quantity, unit: str) -> str:
     """Return an interval in words: `62 to 74 W`, or `about 62 W` where its ends look the same."""
+    is_time = unit == "min"
     if math.isinf(quantity.low):
-        return "never"
+        return "never" if is_time else "without limit"
     low, high = (_digits(end, unit) for end in (quantity.low, quantity.high))
     if math.isinf(quantity.high):
-        return f"{low} {unit} to never"
+        return f"{low} {unit} {'to never' if is_time else 'or more'}"
     return f"about {low} {unit}" if low == high else f"{low} to {high} {unit}"
 
 

@@ -88,7 +88,12 @@ class SteadyTwin:
         return share
 
     def final_c(self, duty: float) -> float:
-        """Return the air after all has settled at a duty [°C]. Errors: DataError where nothing settles"""
+        """Return the air after all has settled at a duty [°C], infinite where too little leaves the box.
+
+        Errors : DataError for a heater that warms nothing
+        """
+        if not self._drive[:, 0].any():
+            raise DataError("the twin's heater does not warm the air")
         given = float(self._signals.duty(np.array(duty)))
         near = float(self._room)
         missed = self._share(near, duty) - given
@@ -98,7 +103,7 @@ class SteadyTwin:
             near, missed, far, step = far, other, far + step, 2.0 * step
             other = self._share(far, duty) - given
             if not abs(step) < FARTHEST_K:
-                raise DataError("the twin's heater does not warm the air, or nothing leaves the box")
+                return math.copysign(math.inf, step)
         for _ in range(ROUNDS):  # regula falsi, Illinois: Dowell & Jarratt 1971, BIT 11
             if abs(far - near) < CLOSE_K or other == 0.0:
                 return far

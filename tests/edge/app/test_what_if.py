@@ -183,6 +183,24 @@ def test_a_slow_body_may_pass_its_heat_on_and_a_quick_one_does_not() -> None:
     assert held_w(720_000.0, 300.0).high == pytest.approx(61.5, abs=0.2)  # 0.95 exp(-3) of 2 W/K
 
 
+def test_losses_grow_beside_heat_that_more_than_holds_the_air() -> None:
+    """Heat of 50 W is more than the 40 W that 30 °C loses, and losses still grow beyond."""
+    heat = {"constant_heat": {"P0": Value(50.0)}}
+    file = replace(BARE, effects={**EXACT.effects, **heat}, provenance=SEEN_10_K)
+    now, _ = outlooks(file, question(), 1.0)
+    assert now.power_w.low == pytest.approx(10.0, abs=0.1)
+    assert 25.0 < now.power_w.high < 40.0 * 1.5 ** (1.0 + BENT_MAX) - 50.0
+
+
+def test_a_box_that_may_lose_nothing_has_no_upper_end() -> None:
+    now, _ = outlooks(
+        replace(BARE, effects={"wall_loss": {"UA": Value(4.0, low=0.0, high=8.0)}}), question(), 1.0
+    )
+    assert now.reach_c.high > 200.0 and now.power_w.low < 20.0
+    nothing, _ = outlooks(replace(BARE, effects={"wall_loss": {"UA": Value(0.0)}}), question(), 1.0)
+    assert nothing.reach_c == Quantity(*[math.inf] * 3)
+
+
 def test_a_heater_that_sags_takes_the_duty_that_it_is_given() -> None:
     """At full duty it gives 80 W of 100; u (1 - 0.2 u) is 0.6 at 0.6972."""
     sag = replace(EXACT, effects={**EXACT.effects, "heater_sag": {"sag": Value(0.2)}})
@@ -325,3 +343,5 @@ def test_an_interval_in_words() -> None:
     assert span(Quantity(7.0, 6.04, 8.21), "min") == "6.0 to 8.2 min"
     assert span(Quantity(50.0, 40.2, math.inf), "min") == "40 min to never"
     assert span(Quantity(*[math.inf] * 3), "min") == "never"
+    assert span(Quantity(50.0, 40.2, math.inf), "°C") == "40.2 °C or more"
+    assert span(Quantity(*[math.inf] * 3), "°C") == "without limit"

@@ -90,7 +90,7 @@ def test_walls_by_thickness_are_walls_by_a_factor_and_heavier(
         rows = json.loads(capsys.readouterr().out)["rows"]
         tables.append({row["row"]: row["changed"] for row in rows})
     for row in ("full heat for good", "to hold the target", "a day at the reference"):
-        assert tables[0][row] == tables[1][row]
+        assert tables[0][row]["text"] == tables[1][row]["text"]
     slow, usual = (table["to the target at full heat"]["high"] for table in tables)
     assert slow > 1.1 * usual
 

@@ -98,8 +98,63 @@ def test_a_target_above_the_final_air_is_never_reached() -> None:
 
 
 def test_a_box_that_loses_nothing_has_no_final_air() -> None:
-    with pytest.raises(DataError, match="nothing leaves the box"):
-        SteadyTwin(BoxTwin(), ConstantInputs(ROOM_C)).final_c(1.0)
+    steady = SteadyTwin(BoxTwin(), ConstantInputs(ROOM_C))
+    assert steady.final_c(1.0) == math.inf
+    assert steady.final_c(0.0) == ROOM_C
+    cooled = ConstantInputs(ROOM_C, more_w=lambda temp_c: -5.0)
+    assert SteadyTwin(BoxTwin(), cooled).final_c(0.0) == -math.inf
+
+
+def test_a_heater_without_heat_is_refused() -> None:
+    cold = BoxTwin(effects=WALL | {"heater_efficiency": {"eta": 0.0}})
+    with pytest.raises(DataError, match="does not warm the air"):
+        SteadyTwin(cold, ConstantInputs(ROOM_C)).final_c(1.0)
+
+
+def test_air_that_heat_in_a_cool_box_warms_settles_where_it_first_can() -> None:
+    """A step of 30 W at 25 °C: 5 W hold 21 + 1.25 K, and with 30 W more the box stands at the step."""
+    step = {"unnamed_heat": {"P_x": 30.0, "T_x": 25.0, "w_x": 0.2}}
+    steady = SteadyTwin(BoxTwin(effects=WALL | step), ConstantInputs(ROOM_C))
+    for duty in (0.0, 0.05, 0.5, 1.0):
+        final_c = steady.final_c(duty)
+        assert steady.share_to_hold(final_c) == pytest.approx(duty, abs=1e-4)
+    assert 24.0 < steady.final_c(0.05) < 26.0
+    assert steady.final_c(1.0) == pytest.approx(ROOM_C + 25.0, abs=1e-3)
+    cold = {"unnamed_heat": {"P_x": -60.0, "T_x": 25.0, "w_x": 0.2}}  # less heat holds 26 °C than 24 °C
+    bent = SteadyTwin(BoxTwin(effects=WALL | cold), ConstantInputs(ROOM_C))
+    assert bent.share_to_hold(26.0) < bent.share_to_hold(24.0)
+    assert bent.final_c(1.0) == pytest.approx(ROOM_C + 25.0, abs=1e-3)
+
+
+def test_further_heat_counts_on_the_way_and_at_its_end() -> None:
+    """A loss that grows by 2 W/K is a wall of 6 W/K."""
+    wall = SteadyTwin(BoxTwin(effects={"wall_loss": {"UA": 6.0}}), ConstantInputs(ROOM_C))
+    more = ConstantInputs(ROOM_C, more_w=lambda temp_c: -2.0 * (temp_c - ROOM_C))
+    same = SteadyTwin(BoxTwin(effects=WALL), more)
+    begin = wall.rest_at(ROOM_C)
+    assert same.final_c(1.0) == pytest.approx(wall.final_c(1.0))
+    assert same.share_to_hold(29.0) == pytest.approx(wall.share_to_hold(29.0))
+    assert same.time_s(begin, 29.0, 1.0) == pytest.approx(wall.time_s(begin, 29.0, 1.0), abs=1.0)
+
+
+def test_a_body_that_loses_ends_as_a_path_to_the_room_and_begins_as_a_store() -> None:
+    body = BoxTwin(effects=WALL | {"soil_mass": {"C_s": 20_000.0, "G_s": 3.0}})
+    kept, lost = (SteadyTwin(body, ConstantInputs(ROOM_C, lost=share)) for share in (0.0, 0.5))
+    begin = kept.rest_at(ROOM_C)
+    assert kept.final_c(1.0) == pytest.approx(ROOM_C + 25.0)
+    assert lost.final_c(1.0) == pytest.approx(ROOM_C + 100.0 / 5.5)
+    assert lost.time_s(begin, 30.0, 1.0) == pytest.approx(kept.time_s(begin, 30.0, 1.0), rel=0.02)
+    # A fit over 10 time constants would have shown it.
+    known = SteadyTwin(body, ConstantInputs(ROOM_C, lost=0.5, seen_s=10.0 * 20_000.0 / 3.0))
+    assert known.final_c(1.0) == pytest.approx(ROOM_C + 25.0, abs=1e-3)
+
+
+def test_a_duty_makes_up_for_a_heater_that_sags() -> None:
+    steady = SteadyTwin(BoxTwin(effects=DELAYS), ConstantInputs(ROOM_C))
+    for duty in (0.1, 0.5, 0.79):
+        assert steady.duty_to_hold(steady.final_c(duty)) == pytest.approx(duty, abs=1e-4)
+    assert steady.duty_to_hold(ROOM_C - 2.0) == pytest.approx(-0.08)
+    assert steady.duty_to_hold(steady.final_c(1.0) + 0.1) > 1.0
 
 
 def test_a_missing_column_is_named_with_its_effect() -> None:
