@@ -30,6 +30,8 @@ LEVELS = (0.05, 0.5, 0.95)
 # Films have 0.25 to 0.33, air that rises out of leaks 0.5 (ASHRAE Fundamentals 2017, ch. 4 and 16). Wet soil,
 # whose vapour doubles with every 11 K, and a heater whose power falls when hot come near 1.
 BENT_MAX = 1.0
+# Of what a short fit takes for losses: into water, soil and thick walls, up to twice what gets out.
+STORED_MAX, SLOW_S = 2.0 / 3.0, 12.0 * 3600.0  # and the length of rows that shows them
 MIDDLE = 0.6  # of the warmest over the room: root mean square of rows that are spread evenly
 LOSS_MIN = 0.2  # of the fit's, where heat of no known cause would leave nothing
 STEPS = 9  # of air temperatures at which that heat is looked at
@@ -40,7 +42,6 @@ WALL_SHARE_MIN = 1.0 / 3.0
 WALL_KNOWN = 3.0  # times, from end to end of an interval of the walls' loss
 WALL_PLACES: tuple[Place, ...] = tuple(("effects", effect, key) for effect, key in WALL_CONDUCTANCES)
 _NORMAL = NormalDist()
-HEATER: Place = ("geometry", "heater_max_w")
 HUMIDITY_PCT = 60.0  # where the twin's plants and soil evaporate
 DARK = {"light": 0.0, "solar": 0.0, "rel_humidity": HUMIDITY_PCT}
 
@@ -142,14 +143,16 @@ class Seen(NamedTuple):
 
 
 class _Doubt(NamedTuple):
-    """What a fit leaves open, as one draw has it. Shares are from 0 to 1.
+    """The things that a fit leaves open, as one draw has them. Shares are from 0 to 1.
 
     room_k : error of the room, as large as that of free runs over rows that no fit saw
     loss : factor of all heat that leaves or is stored, which makes that error in the middle of the rows
     bent : power by which losses grow in warmer air than the rows had, beyond proportion
     through_walls : share of what the twin counts as loss of the walls that they conduct
     stored_in_walls : share of what the twin counts as stored near the air that is stored in the walls
+    stored : share of the losses which is heat into bodies that are too slow for the rows
     lost : share of the heat into slow bodies that leaves them for the room
+    late_steps : by which the time to a target is off, as the rig acts once a step
     then : heat of no known cause in the middle of the rows, between its least and its most in all of them
     now : share of it that goes on
     """
@@ -159,7 +162,9 @@ class _Doubt(NamedTuple):
     bent: float
     through_walls: float
     stored_in_walls: float
+    stored: float
     lost: float
+    late_steps: float
     then: float
     now: float
 
@@ -238,11 +243,20 @@ def _outlook(
 def _doubts(seen: Seen, count: int) -> Iterator[_Doubt]:
     error_k = 0.0 if math.isnan(seen.error_k) else seen.error_k
     relative = 0.0 if math.isnan(seen.above_k) else error_k / (MIDDLE * seen.above_k)
+    longest = STORED_MAX * math.exp(-seen.seconds / SLOW_S)
     for room, loss, *others in even_normals(count, len(_Doubt._fields)).tolist():
-        bent, walls, *shares = (_NORMAL.cdf(sds) for sds in others)
-        through_walls = WALL_SHARE_MIN + (1.0 - WALL_SHARE_MIN) * walls
-        # Squared, as most boxes have films and leaks alone.
-        yield _Doubt(error_k * room, math.exp(relative * loss), BENT_MAX * bent**2, through_walls, *shares)
+        bent, walls, in_walls, stored, lost, late, *shares = (_NORMAL.cdf(sds) for sds in others)
+        yield _Doubt(
+            error_k * room,
+            math.exp(relative * loss),
+            BENT_MAX * bent**2,  # squared, as most boxes are near none
+            WALL_SHARE_MIN + (1.0 - WALL_SHARE_MIN) * walls,
+            in_walls,
+            longest * stored**2,
+            lost,
+            late - 0.5,
+            *shares,
+        )
 
 
 def _draw(
@@ -255,19 +269,31 @@ def _draw(
     doubt: _Doubt,
 ) -> _Draw:
     room_c, target_c = asked.room_c, asked.target_c
-    twin = _with_change(file, change, doubt, doubt.loss * _hidden_loss(file, asked, seen, doubt)).twin()
+    rated_w = file.geometry["heater_max_w"].value
+    loss = doubt.loss * _hidden_loss(file, asked, seen, doubt)
+    twin = _with_change(file, change, doubt).twin()
     signals = twin.signals
-    plain = ConstantInputs(room_c + doubt.room_k, 0.0, _columns(twin, asked), None, doubt.lost, seen.seconds)
-    inputs = replace(plain, more_w=_bent_w(twin, plain, room_c, seen, doubt))
+    inputs = ConstantInputs(
+        room_c + doubt.room_k,
+        columns=_columns(twin, asked),
+        power=(change.heater_w or rated_w) / (rated_w * loss),
+        seen_s=seen.seconds,
+        stored=doubt.stored,
+        lost=doubt.lost,
+    )
+    inputs = replace(inputs, more_w=_bent_w(twin, inputs, room_c, seen, doubt))
     still = SteadyTwin(twin, inputs)
     fanned_c = cooling_s = math.nan
     if fan is not None:
         blown = SteadyTwin(twin, replace(inputs, fan=fan))
-        fanned_c, dead_s = blown.final_c(0.0), signals.fan_dead_s + signals.fan_lag_s
-        cooling_s = blown.time_s(still.rest_at(target_c), 0.5 * (target_c + room_c), 0.0, dead_s)
+        fanned_c = blown.final_c(0.0)
+        dead_s = signals.fan_dead_s + signals.fan_lag_s + doubt.late_steps * twin.step_s
+        halfway_c = 0.5 * (target_c + room_c)
+        cooling_s = max(blown.time_s(still.rest_at(target_c), halfway_c, 0.0, dead_s), 0.0)
     warming_s = 0.0
     if target_c > asked.start_c:
-        warming_s = still.time_s(still.rest_at(asked.start_c), target_c, duty_max, signals.heater_dead_s)
+        dead_s = signals.heater_dead_s + doubt.late_steps * twin.step_s
+        warming_s = max(still.time_s(still.rest_at(asked.start_c), target_c, duty_max, dead_s), 0.0)
     duties = still.duty_to_hold(target_c), still.duty_to_hold(asked.hold_c)
     return _Draw(still.final_c(duty_max), fanned_c, cooling_s, warming_s, *duties)
 
@@ -301,7 +327,7 @@ def _bent_w(
         return None
     steady = SteadyTwin(twin, inputs)
     low, high = (steady.share_to_hold(temp_c) for temp_c in (room_c, room_c + seen.above_k))
-    lost_w = max(twin.geometry.heater_max_w * (high - low), 0.0)
+    lost_w = max(inputs.power * twin.geometry.heater_max_w * (high - low), 0.0)
 
     def more_w(temp_c: float) -> float:
         times = max((temp_c - room_c) / seen.above_k, 1.0)
@@ -314,19 +340,20 @@ def _columns(twin: BoxTwin, asked: WhatIf) -> dict[str, float]:
     return {name: {**DARK, "utc": asked.utc}[name] for name in twin.needs}
 
 
-def _with_change(file: TwinFile, change: TwinChange, doubt: _Doubt, loss: float) -> TwinFile:
+def _with_change(file: TwinFile, change: TwinChange, doubt: _Doubt) -> TwinFile:
+    """Return the twin with other walls, and the heat of no known cause that goes on."""
     values = file.values()
-    heater_w = values[HEATER].value if change.heater_w is None else change.heater_w
-    changed = {HEATER: Value(heater_w / loss)}
+    changed: dict[Place, Value] = {}
     for name in nameless(file.effects):
-        place = ("effects", name, EFFECTS[name].parameters[0].name)
-        changed[place] = Value(doubt.now * values[place].value)
+        amount: Place = ("effects", name, EFFECTS[name].parameters[0].name)
+        changed[amount] = Value(doubt.now * values[amount].value)
     if change.wall_factor is not None:
         factor = 1.0 + doubt.through_walls * (change.wall_factor - 1.0)
         changed |= {place: Value(factor * values[place].value) for place in WALL_PLACES if place in values}
         times = 1.0 + doubt.stored_in_walls * (change.wall_thickness - 1.0)
         for effect, key, none in WALL_CAPACITIES:
-            if (place := ("effects", effect, key)) in values:
+            place: Place = ("effects", effect, key)
+            if place in values:
                 changed[place] = Value(none + times * (values[place].value - none))
     return file.with_values(changed)
 

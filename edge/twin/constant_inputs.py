@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.twin.discretisation import exponential
+from edge.twin.effects.library import build
 from edge.twin.model import DAY_S, BoxTwin
-from edge.twin.network import AIR, HEATER, SENSOR, UPPER
+from edge.twin.network import AIR, ROOM, LinearSystem
 
 Floats = NDArray[np.float64]
 MOMENT_S = 1.0  # resolution of a time to a target
@@ -22,6 +23,7 @@ DOUBLINGS = 20  # of MOMENT_S, so that a way of up to 12 days is seen
 ROUNDS, CLOSE_K, CLOSE_SHARE = 60, 1e-6, 1e-9  # of the searches for a final temperature and a command
 NARROW_K = 0.05  # least distance of a secant's ends
 DUTIES = 201  # at which a heater's power is looked up
+UNSEEN, UNSEEN_TIMES = "unseen", 5.0  # body that a fit did not see; its time constant in lengths of the rows
 FIRST_K, FARTHEST_K = 2.0, 1e4  # steps from the room to beyond a final temperature
 
 
@@ -31,24 +33,29 @@ class ConstantInputs:
 
     room_c : as the rig's sensor shows it [°C]; fan : speed as share of the full flow, 0..1
     columns : values of the further columns that the twin needs, `utc` among them
+    power : times the twin's heater
     more_w : heat into the air beside the twin's, by the air's temperature
-    lost : share of the heat into bodies that only store which they pass on to the room; less in a quick body,
-        for which a fit over `seen_s` would have shown it
+    seen_s : of the rows that the twin was fitted on, for these two
+    stored : share of the losses which are none, but heat into a body so slow that the fit did not see it warm
+    lost : share of the heat into bodies of the twin which they pass on to the room; less in a quick body, for
+        which the rows would have shown it
     """
 
     room_c: float
     fan: float = 0.0
     columns: Mapping[str, float] = field(default_factory=dict)
+    power: float = 1.0
     more_w: Callable[[float], float] | None = None
-    lost: float = 0.0
     seen_s: float = 0.0
+    stored: float = 0.0
+    lost: float = 0.0
 
 
 class SteadyTwin:
     """A twin, its balance for these inputs put together once. Errors: DataError for a missing column"""
 
     def __init__(self, twin: BoxTwin, inputs: ConstantInputs) -> None:
-        system, signals = twin.system, twin.signals
+        system, signals = _system(twin, inputs), twin.signals
         if missing := sorted(set(twin.needs) - set(inputs.columns)):
             raise DataError(f"{missing[0]}: missing, the twin's {twin.needs[missing[0]]} needs it")
         day = 0.0
@@ -61,9 +68,8 @@ class SteadyTwin:
         self._drive = system.drive + inputs.fan * system.fan_drive + day * system.other_drive[1]
         self._per_w = self._drive[:, 2] / system.air_capacity_j_k
         self._more_w, self._bends = inputs.more_w, signals.bends or inputs.more_w is not None
-        for i, name in enumerate(system.states):
-            if name not in (AIR, UPPER, HEATER, SENSOR) and self._drive[i, 1] == 0.0:
-                self._lose(i, inputs.lost * math.exp(inputs.seen_s * self._rates[i, i]))
+        self._drive[:, 0] *= inputs.power
+        self._power = inputs.power
         self._room = np.array(inputs.room_c)
         self._columns = {name: np.array(value) for name, value in inputs.columns.items()}
         self._columns |= {"fan_on": np.array(inputs.fan), "heater_duty": np.array(0.0)}
@@ -159,15 +165,9 @@ class SteadyTwin:
         return np.asarray(np.linalg.lstsq(balance / scale[:, None], known / scale, rcond=None)[0])
 
     def _bent_w(self, temp_c: float, duty: float) -> float:
-        columns = {**self._columns, "heater_duty": np.array(duty)}
+        columns = {**self._columns, "heater_duty": np.array(self._power * duty)}
         more_w = self._more_w(temp_c) if self._more_w else 0.0
         return more_w + float(self._signals.heat_w(np.array(temp_c), self._room, columns, by_temp=True))
-
-    def _lose(self, body: int, share: float) -> None:
-        """Connect a body to the room, so that in the end a share of what flows into it goes there."""
-        to_room = -self._rates[body, body] * share / (1.0 - share)
-        self._rates[body, body] -= to_room
-        self._drive[body, 1] += to_room
 
     def _secant(self, start_c: float, target_c: float, duty: float) -> tuple[float, float]:
         """Return slope [W/K] and level [W] of the heat that bends."""
@@ -178,3 +178,26 @@ class SteadyTwin:
         low_w, high_w = (self._bent_w(temp, duty) for temp in (low, high))
         slope = (high_w - low_w) / (high - low)
         return slope, low_w - slope * low
+
+
+def _system(twin: BoxTwin, inputs: ConstantInputs) -> LinearSystem:
+    """Return the twin's system with what passes through its bodies, and with the body that was not seen."""
+    if not inputs.seen_s > 0.0:
+        return twin.system
+    network = build(twin.geometry, twin.effects, twin.step_s)
+    outward = [path for path in network.paths if ROOM in path[:2]]
+    for name, capacity_j_k in network.nodes.items():
+        if not any(name in path[:2] for path in outward):
+            w_k = sum(path.off_w_k for path in network.paths if name in path[:2])
+            lost = inputs.lost * math.exp(-inputs.seen_s * w_k / capacity_j_k)
+            network.connect(name, ROOM, w_k * lost / (1.0 - lost))
+    stored_w_k = 0.0
+    for path in outward:
+        if path.fan_w_k >= 0.0 and path.off_w_k > 0.0:  # a fan that ends a leak ends no storing
+            w_k = inputs.stored * path.off_w_k
+            network.paths[network.paths.index(path)] = path._replace(off_w_k=path.off_w_k - w_k)
+            network.connect(path.one, UNSEEN, w_k)
+            stored_w_k += w_k
+    if stored_w_k > 0.0:
+        network.add_node(UNSEEN, UNSEEN_TIMES * inputs.seen_s * stored_w_k)
+    return network.system()

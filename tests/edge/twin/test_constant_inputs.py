@@ -139,14 +139,42 @@ def test_further_heat_counts_on_the_way_and_at_its_end() -> None:
 
 def test_a_body_that_loses_ends_as_a_path_to_the_room_and_begins_as_a_store() -> None:
     body = BoxTwin(effects=WALL | {"soil_mass": {"C_s": 20_000.0, "G_s": 3.0}})
-    kept, lost = (SteadyTwin(body, ConstantInputs(ROOM_C, lost=share)) for share in (0.0, 0.5))
+    kept, lost = (SteadyTwin(body, ConstantInputs(ROOM_C, seen_s=1.0, lost=share)) for share in (0.0, 0.5))
     begin = kept.rest_at(ROOM_C)
     assert kept.final_c(1.0) == pytest.approx(ROOM_C + 25.0)
-    assert lost.final_c(1.0) == pytest.approx(ROOM_C + 100.0 / 5.5)
+    assert lost.final_c(1.0) == pytest.approx(ROOM_C + 100.0 / 5.5, rel=1e-4)
     assert lost.time_s(begin, 30.0, 1.0) == pytest.approx(kept.time_s(begin, 30.0, 1.0), rel=0.02)
     # A fit over 10 time constants would have shown it.
     known = SteadyTwin(body, ConstantInputs(ROOM_C, lost=0.5, seen_s=10.0 * 20_000.0 / 3.0))
     assert known.final_c(1.0) == pytest.approx(ROOM_C + 25.0, abs=1e-3)
+
+
+def test_losses_may_be_heat_into_a_body_that_was_not_seen() -> None:
+    """Half of 4 W/K begins as a loss and ends as none, through a wall that stores and without one alike."""
+    for effects in (WALL, SLOW):
+        twin = BoxTwin(effects=effects)
+        usual, stored = (
+            SteadyTwin(twin, ConstantInputs(ROOM_C, seen_s=7200.0, stored=share)) for share in (0.0, 0.5)
+        )
+        begin_c = usual.final_c(0.0)
+        for duty in (0.3, 1.0):
+            # The films of SLOW are in series, of which the outer one alone loses half.
+            times = 2.0 if effects is WALL else 1.5
+            assert stored.final_c(duty) - begin_c == pytest.approx(
+                times * (usual.final_c(duty) - begin_c), rel=0.06
+            )
+        begin = usual.rest_at(ROOM_C)
+        for one, other, target_c in ((usual, stored, 30.0),):
+            assert other.time_s(np.append(begin, ROOM_C), target_c, 1.0) == pytest.approx(
+                one.time_s(begin, target_c, 1.0), rel=0.05
+            )
+
+
+def test_another_heater_has_its_share_of_a_cut() -> None:
+    cut = WALL | {"unnamed_cut": {"f_x": 0.2, "T_x": 10.0, "w_x": 0.5}}
+    steady = SteadyTwin(BoxTwin(effects=cut), ConstantInputs(ROOM_C, power=1.5))
+    assert steady.final_c(1.0) == pytest.approx(ROOM_C + 150.0 * 0.8 / 4.0)
+    assert steady.share_to_hold(ROOM_C + 15.0) == pytest.approx(0.5)
 
 
 def test_a_duty_makes_up_for_a_heater_that_sags() -> None:
