@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from bench.boxes.__main__ import commission, rig_settings
-from bench.boxes.draw import LOTS, draw_box
+from bench.boxes.draw import BURNT, LOTS, draw_box
 from bench.boxes.facts import MATERIALS, BoxFacts
 from bench.boxes.physics import BoxPhysics
 from bench.boxes.reach import Still
@@ -39,9 +39,9 @@ from firmware_protocol.virtual_board.effects import Effects
 from training.lab import InProcessBoard
 
 TIMES, THICKER = 1.5, 2.0  # the present heater and walls
-# Boxes by which the doubts of `edge.app.what_if` were chosen, and those that were first asked when they stood.
+# Boxes by which the doubts of `edge.app.what_if` were chosen, and those that were asked when these stood.
 KNOWN = (*LOTS[0], 101, 102)
-NEW = (*LOTS[1][2:], *LOTS[2][:9], *LOTS[3][:10])
+NEW = (*LOTS[1][2:], *LOTS[2][:BURNT])
 TARGET_SHARE = 0.6  # of the rise at full heat, for boxes that reach other temperatures
 SHEETS_U = (3.3, 2.4)  # twin-wall polycarbonate of 8 and 16 mm, makers' figures [W/m2K]
 STANDARD_FILMS = 0.17  # that these figures include [m2 K/W]
@@ -74,7 +74,7 @@ class TrueOutlook:
     cooling_min: float = float("nan")
 
 
-class IntervalCheck(NamedTuple):
+class CheckedInterval(NamedTuple):
     """An interval beside the truth. width : of its middle, a temperature's counted from the room"""
 
     change: str
@@ -88,7 +88,7 @@ class BoxAnswers:
     """Lines to print, and how each interval did."""
 
     lines: list[str]
-    held: list[IntervalCheck]
+    held: list[CheckedInterval]
 
 
 def chamber_answers(seed: int) -> BoxAnswers:
@@ -107,7 +107,7 @@ def chamber_answers(seed: int) -> BoxAnswers:
         "fan x 0.5": (TwinChange(fan=0.5), replace(parameters, fan=fan)),
     }
     room_c = _room_shown(parameters, effects)
-    held: list[IntervalCheck] = []
+    held: list[CheckedInterval] = []
     lines = [f"chamber, seed {seed}: {', '.join(twin.effects)}; target {CHAMBER_TARGET_C:g} °C"]
     for name, (change, other) in cases.items():
         truth = _chamber_truth(other, replace(effects, **QUIET))
@@ -135,7 +135,7 @@ def answers_of(facts: BoxFacts, twin: TwinFile) -> BoxAnswers:
     room_c = ControlSettings().ambient_default_c if sensor is None else facts.room.mean_c + sensor.bias
     full_c = _reading(facts, 1.0)
     target_c = room_c + TARGET_SHARE * (full_c - room_c)
-    held: list[IntervalCheck] = []
+    held: list[CheckedInterval] = []
     lines = [f"box {facts.seed}, {facts.kind}: {', '.join(twin.effects)}; target {target_c:.1f} °C"]
     resistance = sum(layer.thickness_m / MATERIALS[layer.material].conductivity_w_m_k for layer in facts.wall)
     factor = (FILM_M2_K_W + resistance) / (FILM_M2_K_W + THICKER * resistance)
@@ -171,7 +171,7 @@ def _compare(
     truth: TrueOutlook,
     keys: Sequence[str],
     room_c: float,
-    held: list[IntervalCheck],
+    held: list[CheckedInterval],
 ) -> Iterator[str]:
     for key in keys:
         said, true = getattr(told, key), getattr(truth, key)
@@ -179,14 +179,14 @@ def _compare(
         holds = said.low <= true <= said.high
         middle = said.value - room_c if key == KEYS[0] else said.value
         width = (said.high - said.low) / middle if math.isfinite(said.high) else math.inf
-        held.append(IntervalCheck(name.split()[0], key, holds, width))
+        held.append(CheckedInterval(name.split()[0], key, holds, width))
         yield (
             f"    {name:<14}{key:<13}{said.low:8.1f} to {said.high:6.1f}, median {said.value:6.1f}; "
             f"true {true:6.1f}{'' if holds else '  outside'}"
         )
 
 
-def _summary(kind: str, rows: Sequence[IntervalCheck]) -> Iterator[str]:
+def _summary(kind: str, rows: Sequence[CheckedInterval]) -> Iterator[str]:
     """Yield how many hold, by change, by key and in all, and how wide they are."""
     names = dict.fromkeys([*(row.change for row in rows), *(row.key for row in rows), ALL])
     for name in names:
@@ -272,13 +272,13 @@ def main(words: Sequence[str] | None = None) -> int:
         "--boxes",
         type=int,
         nargs="*",
-        default=boxes,
-        help="of bench.boxes; default: 1 to 15, 101 to 115",
+        default=(*KNOWN, *NEW),
+        help="of bench.boxes; default: those known and new",
     )
     parser.add_argument("--jobs", type=int, default=2, help="processes; default: 2")
     given = parser.parse_args(words)
     print("\n".join(header()), flush=True)
-    held: dict[str, list[IntervalCheck]] = {}
+    held: dict[str, list[CheckedInterval]] = {}
     known, new = ([n for n in given.boxes if (n in KNOWN) is is_known] for is_known in (True, False))
     with ProcessPoolExecutor(given.jobs) as pool:
         for kind, call, numbers in (

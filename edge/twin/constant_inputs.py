@@ -192,8 +192,8 @@ def _system(twin: BoxTwin, inputs: ConstantInputs) -> LinearSystem:
             lost = inputs.lost * math.exp(-inputs.seen_s * w_k / capacity_j_k)
             network.connect(name, ROOM, w_k * lost / (1.0 - lost))
     stored_w_k = 0.0
-    for path in outward:
-        if path.fan_w_k >= 0.0 and path.off_w_k > 0.0:  # a fan that ends a leak ends no storing
+    for path in outward if inputs.stored > 0.0 else ():
+        if path.fan_w_k >= 0.0 and path.off_w_k > 0.0:  # a leak that the fan ends is none of it
             w_k = inputs.stored * path.off_w_k
             network.paths[network.paths.index(path)] = path._replace(off_w_k=path.off_w_k - w_k)
             network.connect(path.one, UNSEEN, w_k)
