@@ -32,7 +32,7 @@ from edge.app.what_if import Outlook, Quantity, TwinChange, WhatIf, outlooks
 from edge.config.settings import ControlSettings
 from edge.core.errors import GreenhouseError, RequestError
 from edge.twin.new_file import FILM_M2_K_W, BoxDescription, text
-from edge.twin.twin_file import TwinFile, read_twin_file
+from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import ChamberParameters, load
 from firmware_protocol.virtual_board.effects import Effects
@@ -91,10 +91,10 @@ class BoxAnswers:
     held: list[CheckedInterval]
 
 
-def chamber_answers(seed: int) -> BoxAnswers:
-    """Commission the chamber and compare."""
+def chamber_answers(seed: int, twins: Path | None = None) -> BoxAnswers:
+    """Commission the chamber and compare. twins : folder with twins of an earlier run, and for this one's"""
     parameters, effects = load()
-    twin = _chamber_twin(seed)
+    twin = _kept(twins, f"chamber_{seed}", partial(_chamber_twin, seed))
     factor = SHEETS_U[1] / SHEETS_U[0]
     resistance = 1.0 / SHEETS_U[1] - STANDARD_FILMS
     gap = replace(parameters.cover, gap_w_m2_k=1.0 / resistance)
@@ -117,16 +117,14 @@ def chamber_answers(seed: int) -> BoxAnswers:
     return BoxAnswers(lines, held)
 
 
-def box_answers(number: int) -> BoxAnswers:
-    """Commission a box of `bench.boxes` and compare."""
+def box_answers(number: int, twins: Path | None = None) -> BoxAnswers:
+    """Commission a box of `bench.boxes` and compare. twins : as of `chamber_answers`"""
     facts = draw_box(number)
     try:
-        found = commission(facts, number, MINUTES)
+        twin = _kept(twins, f"box_{number}", partial(_box_twin, facts))
     except GreenhouseError as error:
         return BoxAnswers([f"box {number}, {facts.kind}: not commissioned: {error}"], [])
-    if found.refusals:
-        return BoxAnswers([f"box {number}, {facts.kind}: refused: {found.refusals[0]}"], [])
-    return answers_of(facts, found.twin)
+    return answers_of(facts, twin)
 
 
 def answers_of(facts: BoxFacts, twin: TwinFile) -> BoxAnswers:
@@ -193,6 +191,25 @@ def _summary(kind: str, rows: Sequence[CheckedInterval]) -> Iterator[str]:
         own = [row for row in rows if name in (row.change, row.key, ALL)]
         holds, width = sum(row.holds for row in own), np.median([row.width for row in own])
         yield f"{kind}: {name}: {holds} of {len(own)} intervals of 90 % hold; median width {width:.2f}"
+
+
+def _kept(twins: Path | None, name: str, fit: Callable[[], TwinFile]) -> TwinFile:
+    """Return the twin of an earlier run, or fit it and keep it for the next one."""
+    path = None if twins is None else twins / f"{name}.yaml"
+    if path is not None and path.exists():
+        return read_twin_file(path)
+    twin = fit()
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_twin_file(twin, path)
+    return twin
+
+
+def _box_twin(facts: BoxFacts) -> TwinFile:
+    found = commission(facts, facts.seed, MINUTES)
+    if found.refusals:
+        raise RequestError(f"refused: {found.refusals[0]}")
+    return found.twin
 
 
 def _chamber_twin(seed: int) -> TwinFile:
@@ -276,6 +293,9 @@ def main(words: Sequence[str] | None = None) -> int:
         help="of bench.boxes; default: those known and new",
     )
     parser.add_argument("--jobs", type=int, default=2, help="processes; default: 2")
+    parser.add_argument(
+        "--twins", type=Path, help="folder: twins of an earlier run are taken from here, new ones kept"
+    )
     given = parser.parse_args(words)
     print("\n".join(header()), flush=True)
     held: dict[str, list[CheckedInterval]] = {}
@@ -286,7 +306,7 @@ def main(words: Sequence[str] | None = None) -> int:
             ("known boxes", box_answers, known),
             ("new boxes", box_answers, new),
         ):
-            for found in pool.map(call, numbers):
+            for found in pool.map(partial(call, twins=given.twins), numbers):
                 print("\n".join(found.lines), flush=True)
                 held.setdefault(kind, []).extend(found.held)
     for kind, rows in held.items():

@@ -20,7 +20,7 @@ from edge.twin.network import AIR, ROOM, LinearSystem
 Floats = NDArray[np.float64]
 MOMENT_S = 1.0  # resolution of a time to a target
 DOUBLINGS = 20  # of MOMENT_S, so that a way of up to 12 days is seen
-ROUNDS, CLOSE_K, CLOSE_SHARE = 60, 1e-6, 1e-9  # of the searches for a final temperature and a command
+ROUNDS, CLOSE_K, CLOSE_SHARE = 60, 1e-5, 1e-6  # of the searches for a final temperature and a command
 NARROW_K = 0.05  # least distance of a secant's ends
 DUTIES = 201  # at which a heater's power is looked up
 UNSEEN, UNSEEN_TIMES = "unseen", 5.0  # body that a fit did not see; its time constant in lengths of the rows

@@ -59,7 +59,7 @@ def test_a_viewer_gets_now_and_the_change_and_the_page_stays_small(page: PagePro
     assert found["verdict"].startswith("With the change: Yes: 35 °C takes ")
     rows = {row["row"]: row for row in found["rows"]}
     reach = rows["full heat for good"]
-    assert reach["now"]["high"] < reach["changed"]["low"]
+    assert reach["now"]["value"] < reach["changed"]["low"]
     assert any("packaged twin" in limit for limit in found["limits"])
     assert page.process is not None
     pid = page.process.pid
