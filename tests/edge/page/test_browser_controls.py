@@ -33,7 +33,8 @@ def rig(folder: Path, board: VirtualBoard) -> Iterator[tuple[DaemonProcess, Page
 
 
 def buttons(driver: WebDriver) -> set[str]:
-    return set(driver.execute_script("return [...document.querySelectorAll('button')].map((b) => b.innerText)"))
+    found = "return [...document.querySelectorAll('button')].map((each) => each.innerText)"
+    return set(driver.execute_script(found))
 
 
 def card(driver: WebDriver, name: str) -> str:
