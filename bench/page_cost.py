@@ -32,8 +32,9 @@ from bench.support.browser_memory import (
     wait_for_pushes,
 )
 from bench.support.page_process import Client, page_of
-from bench.support.quick_daemon import QuickTicks, quick_rig
+from bench.support.quick_daemon import quick_rig
 from bench.support.year_history import build_year
+from edge.core.messages import TickRecord
 from edge.page.access import DAY_S as LINK_S
 from edge.page.access import Role
 
@@ -191,9 +192,9 @@ def paint(address: str, rate: int) -> tuple[float, float, int]:
     return first, drawn, size
 
 
-def paints(folder: Path, ticks: QuickTicks, repeats: int) -> Iterator[str]:
+def paints(folder: Path, template: Sequence[TickRecord], repeats: int) -> Iterator[str]:
     """Yield the table of first paints. The peer is the same browser at its full speed."""
-    with quick_rig(folder, ticks, 1.0) as (_, page):
+    with quick_rig(folder, template, LOOKS_A_TICK, 1.0) as (_, page):
         link = page.access.make_link(Role.ADMIN, "Ann", LINK_S, None)
         found = {
             rate: [paint(f"{page.base}/#link={link}", rate) for _ in range(repeats)] for rate in (SLOWER, 1)
@@ -211,26 +212,26 @@ def paints(folder: Path, ticks: QuickTicks, repeats: int) -> Iterator[str]:
     yield f"files of the page as they come, compressed: {found[1][0][2] / 1000:.1f} kB"
 
 
-def day(folder: Path, ticks: QuickTicks, count: int) -> Iterator[str]:
+def day(folder: Path, template: Sequence[TickRecord], count: int) -> Iterator[str]:
     """Yield the table of memory while so many ticks come."""
-    yield f"{count} ticks, {ticks.looks} views each; memory after a collection of garbage"
+    yield f"{count} ticks, {LOOKS_A_TICK} views each; memory after a collection of garbage"
     yield (
         f"{'ticks':>8} {'views':>8} {'courses':>8} {'heap [MB]':>10} {'nodes':>7} {'listeners':>10}"
         f" {'page PSS [MB]':>14}"
     )
-    with quick_rig(folder, ticks, LOOK_S) as (daemon, page), browser(PHONE) as driver:
+    with quick_rig(folder, template, LOOKS_A_TICK, LOOK_S) as (daemon, page), browser(PHONE) as driver:
         assert page.process is not None
         count_pushes(driver)
         driver.get(f"{page.base}/#link={page.access.make_link(Role.ADMIN, 'Ann', LINK_S)}")
         found: list[tuple[BrowserMemory, float]] = []
         began = time.monotonic()
         for share in SHARES:
-            wait_for_pushes(driver, round(share * count * ticks.looks))
+            wait_for_pushes(driver, round(share * count * LOOKS_A_TICK))
             daemon.is_still = True
             time.sleep(SETTLE_S)
             found.append((browser_memory(driver), memory_of(str(page.process.pid)).pss))
             daemon.is_still = False
-            seen = f"{daemon.record.seq - ticks.first_seq:8} {pushes(driver):8} {courses(driver):8}"
+            seen = f"{daemon.record.seq - daemon.first_seq:8} {pushes(driver):8} {courses(driver):8}"
             memory, pss = found[-1]
             yield f"{seen} {memory.heap_mb:10.2f} {memory.nodes:7} {memory.listeners:10} {pss:14.1f}"
     (first, first_pss), (last, last_pss) = found[0], found[-1]
@@ -245,11 +246,11 @@ def report(parts: Sequence[str], days: int, repeats: int, count: int) -> Iterato
     with tempfile.TemporaryDirectory(prefix="gh-") as name:
         folder = Path(name)
         template = recorded_ticks(2.0)
-        ticks = QuickTicks(template, build_year(folder / "history.db", template, days), LOOKS_A_TICK)
+        build_year(folder / "history.db", template, days)
         tables: dict[str, Callable[[], Iterator[str]]] = {
             "year": partial(year, folder, days, repeats),
-            "paint": partial(paints, folder, ticks, repeats),
-            "day": partial(day, folder, ticks, count),
+            "paint": partial(paints, folder, template, repeats),
+            "day": partial(day, folder, template, count),
         }
         for part, table in tables.items():
             if part in parts:

@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from socketserver import StreamRequestHandler, ThreadingUnixStreamServer
 from typing import Any
@@ -33,30 +33,21 @@ _LOOK_OFTEN = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class QuickTicks:
-    """Ticks to come. template : repeated; first_seq : number of the first; looks : at each of them"""
-
-    template: Sequence[TickRecord]
-    first_seq: int
-    looks: int
-
-    def at(self, look: int) -> TickRecord:
-        """Return the newest tick at a look."""
-        seq = self.first_seq + look // self.looks
-        return move(self.template[seq % len(self.template)], seq)
-
-
 class QuickDaemon(ThreadingUnixStreamServer):
-    """Answers "status" and "why" at a socket in `folder`, and writes its ticks to the history there."""
+    """Answers "status" and "why" at a socket in `folder`, and goes on with the history there.
+
+    template : its ticks, again and again; looks_a_tick : statuses until the next one
+    """
 
     daemon_threads = True
 
-    def __init__(self, folder: Path, ticks: QuickTicks) -> None:
-        self._history, self._ticks = folder / "history.db", ticks
+    def __init__(self, folder: Path, template: Sequence[TickRecord], looks_a_tick: int) -> None:
+        self._history, self._template, self._looks_a_tick = folder / "history.db", template, looks_a_tick
         self._lock, self._looks = threading.Lock(), 0
         self.is_still = False  # then every look sees the same
-        self.record = ticks.at(0)
+        with closing(connect(self._history, 10.0)) as connection:
+            self.first_seq = 1 + int(connection.execute("SELECT max(seq) FROM ticks").fetchone()[0])
+        self.record = self._tick(self.first_seq)
         super().__init__(str(folder / "daemon.sock"), _QuickAnswer)
 
     def answer(self, message: dict[str, Any]) -> dict[str, Any]:
@@ -66,16 +57,20 @@ class QuickDaemon(ThreadingUnixStreamServer):
             return {"ok": True, "seq": seq, "lines": [f"At tick {seq}:", *LINES]}
         with self._lock:
             self._looks += not self.is_still
-            record, looks = self._ticks.at(self._looks), self._looks
-            if record.seq != self.record.seq:
-                self._store(record)
-            self.record = record
+            looks, seq = self._looks, self.first_seq + self._looks // self._looks_a_tick
+            if seq != self.record.seq:
+                self.record = self._tick(seq)
+                self._store(self.record)
+            record = self.record
         echo = record.echo and replace(record.echo, heater_duty=0.05 * (looks % 21))
         line = {"frames": looks, "bad_crc": looks // 1000}
         return {
             "ok": True,
             **status_json(LoopStatus(Operation("MPC-P"), float(looks), (), record, echo, True, line)),
         }
+
+    def _tick(self, seq: int) -> TickRecord:
+        return move(self._template[seq % len(self._template)], seq)
 
     def _store(self, record: TickRecord) -> None:
         with closing(connect(self._history, 10.0)) as connection:
@@ -104,12 +99,14 @@ class QuickPage(PageProcess):
 
 
 @contextmanager
-def quick_rig(folder: Path, ticks: QuickTicks, look_s: float) -> Iterator[tuple[QuickDaemon, QuickPage]]:
+def quick_rig(
+    folder: Path, template: Sequence[TickRecord], looks_a_tick: int, look_s: float
+) -> Iterator[tuple[QuickDaemon, QuickPage]]:
     """Start both on the history in `folder`."""
     page = QuickPage(folder, free_port())
     page.look_s = look_s
     (folder / "daemon.sock").unlink(missing_ok=True)
-    with QuickDaemon(folder, ticks) as daemon:
+    with QuickDaemon(folder, template, looks_a_tick) as daemon:
         threading.Thread(target=daemon.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
         try:
             page.start()

@@ -24,8 +24,8 @@ _REPEAT = (
 )
 
 
-def build_year(path: Path, template: Sequence[TickRecord], days: int = 365) -> int:
-    """Write the history anew, and return the number of the next tick. template : ticks that are repeated"""
+def build_year(path: Path, template: Sequence[TickRecord], days: int = 365) -> None:
+    """Write the history anew. template : ticks that are repeated"""
     before = days - RECENT_DAYS
     first = before * TICKS_A_DAY + 1
     build(path, template, RECENT_DAYS, first)
@@ -35,4 +35,3 @@ def build_year(path: Path, template: Sequence[TickRecord], days: int = 365) -> i
         values = {"days": before, "ticks": TICKS_A_DAY, "first": first, "utc": FIRST_UTC + before * DAY_S}
         for statement in ("BEGIN", *_REPEAT, "COMMIT"):
             connection.execute(statement.format(**values))
-    return days * TICKS_A_DAY + 1

@@ -8,7 +8,7 @@ from history_records import START_UTC, store, tick
 
 from bench.support.browser import PHONE, browser
 from bench.support.browser_memory import BrowserMemory, browser_memory, count_pushes, courses, wait_for_pushes
-from bench.support.quick_daemon import QuickTicks, quick_rig
+from bench.support.quick_daemon import quick_rig
 from edge.core.messages import Event, Forecast, Severity, TickRecord
 from edge.page.access import DAY_S, Role
 
@@ -17,7 +17,7 @@ pytest_plugins = ["rig_places"]
 
 WARM_UP, VIEWS, LOOKS_A_TICK = 400, 2000, 20
 RECORDED = 100
-SETTLE_S = 1.0
+LOOK_S, SETTLE_S = 0.004, 1.0
 LEAKS = """
     const kept = [];
     const Source = window.EventSource;
@@ -46,9 +46,8 @@ def memory_over_views(folder: Path, script: str = "") -> tuple[BrowserMemory, Br
     """
     template = [some_tick(seq) for seq in range(1, RECORDED + 1)]
     store(folder / "history.db", *template)
-    ticks = QuickTicks(template, RECORDED + 1, LOOKS_A_TICK)
     found = []
-    with quick_rig(folder, ticks, 0.004) as (daemon, page), browser(PHONE) as driver:
+    with quick_rig(folder, template, LOOKS_A_TICK, LOOK_S) as (daemon, page), browser(PHONE) as driver:
         count_pushes(driver, script)
         driver.get(f"{page.base}/#link={page.access.make_link(Role.ADMIN, 'Ann', DAY_S)}")
         for views in (WARM_UP, VIEWS):
