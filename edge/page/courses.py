@@ -1,12 +1,14 @@
 """Courses of the history: what was measured, wanted and driven between two times, in few rows.
 
-SQLite brings ticks and ten-minute rows down to means, lows and highs of equal buckets of time. Buckets lie in
-blocks. A block before the newest tick is read once: a later look at the same days reads only what is new.
+SQLite brings ticks and ten-minute rows down to means, lows and highs of equal buckets of time. A bucket
+before the newest tick is read once: a later look at the same days reads only what is new.
 """
 
 import math
 import sqlite3
 from collections import OrderedDict
+from collections.abc import Iterable, Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,7 @@ Json = dict[str, Any]
 Row = tuple[Any, ...]  # as COLUMNS
 
 POINTS_MAX = 2000
-BLOCK = 16  # buckets that are read together
-BLOCKS_MAX = 512  # kept, the least used go first: eight courses of 1000 points, at most 3 MB
+ROWS_MAX = 6000  # kept, the least used go first: six courses of 1000 points, at most 4 MB
 AIR = "temp_air_c"
 COLUMNS = ("utc", "air_c", "air_low_c", "air_high_c", "estimate_c", "reference_c", "room_c", "heater", "fan")
 # What the board did not confirm counts as off, as it does in the loop. A bucket without a tick is not there.
@@ -58,7 +59,7 @@ class Courses:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._kept: OrderedDict[tuple[float, int], list[Row]] = OrderedDict()
+        self._kept: OrderedDict[tuple[float, int], Row | None] = OrderedDict()  # None: nothing is recorded
         self._seen: tuple[str, int, float] = ("", 0, 0.0)  # the history, its newest tick's number and time
 
     def between(self, first_utc: float, last_utc: float, points: int) -> Json:
@@ -70,17 +71,16 @@ class Courses:
         if not 0.0 < span_s < 1e9:
             raise RequestError("from_utc has to be before to_utc")
         width_s = _width_s(span_s / (points - 1))  # cut at both ends, they are one more
-        block_s = BLOCK * width_s
-        places = range(math.floor(first_utc / block_s), math.floor(last_utc / block_s) + 1)
+        buckets = range(math.floor(first_utc / width_s), math.floor(last_utc / width_s) + 1)
         with reading(self._path) as db:
             db.execute("BEGIN")  # retention makes windows of ticks meanwhile
             newest_utc = self._look(db)
-            blocks = [self._block(db, place, width_s, newest_utc) for place in places]
-        rows = [row for block in blocks for row in block if first_utc <= row[0] < last_utc]
+            found = self._rows(db, width_s, buckets, newest_utc)
+        rows = [row for row in found if row is not None and first_utc <= row[0] < last_utc]
         return {name: [row[place] for row in rows] for place, name in enumerate(COLUMNS)}
 
     def _look(self, db: sqlite3.Connection) -> float:
-        """Return the time of the newest tick. Drop all blocks if the clock went back, or for another file."""
+        """Return the time of the newest tick. Drop all rows if the clock went back, or for another file."""
         history, seq, utc = self._seen
         found = db.execute(_NEWEST).fetchone()
         self._seen = found or ("", 0, 0.0)
@@ -91,17 +91,27 @@ class Courses:
                 self._kept.clear()
         return self._seen[2]
 
-    def _block(self, db: sqlite3.Connection, place: int, width_s: float, newest_utc: float) -> list[Row]:
-        """Return the rows of a block; they are kept where they can't change any more."""
-        key, last_utc = (width_s, place), BLOCK * width_s * (place + 1)
-        rows = self._kept.pop(key, None)
-        if rows is None:
-            rows = _read(db, BLOCK * width_s * place, last_utc, width_s)
-        if last_utc <= newest_utc:
-            self._kept[key] = rows
-            if len(self._kept) > BLOCKS_MAX:
-                self._kept.popitem(last=False)
-        return rows
+    def _rows(
+        self, db: sqlite3.Connection, width_s: float, buckets: range, newest_utc: float
+    ) -> list[Row | None]:
+        """Return a row for each bucket. Keep those that can't change any more."""
+        kept = self._kept
+        found = {bucket: kept.pop((width_s, bucket)) for bucket in buckets if (width_s, bucket) in kept}
+        for first, last in _stretches(bucket for bucket in buckets if bucket not in found):
+            read = _read(db, width_s * first, width_s * (last + 1), width_s)
+            found.update((bucket, read.get(bucket)) for bucket in range(first, last + 1))
+        for bucket in range(buckets.start, min(buckets.stop, math.floor(newest_utc / width_s))):
+            kept[width_s, bucket] = found[bucket]
+        while len(kept) > ROWS_MAX:
+            kept.popitem(last=False)
+        return [found[bucket] for bucket in buckets]
+
+
+def _stretches(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
+    """Yield the first and the last of numbers that follow each other."""
+    for _, group in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0]):
+        found = [number for _, number in group]
+        yield found[0], found[-1]
 
 
 def _width_s(least_s: float) -> float:
@@ -115,12 +125,12 @@ def _width_s(least_s: float) -> float:
     return between_s if is_step else width_s
 
 
-def _read(db: sqlite3.Connection, first_utc: float, last_utc: float, width_s: float) -> list[Row]:
+def _read(db: sqlite3.Connection, first_utc: float, last_utc: float, width_s: float) -> dict[int, Row]:
     given = {"first": first_utc, "last": last_utc, "width": width_s}
     found = _windows(db, given)
     for bucket, *row in db.execute(_TICKS, given):
         found[bucket] = _sum(found[bucket], row) if bucket in found else row
-    return [(row[1], *map(_round, row[2:])) for _, row in sorted(found.items())]
+    return {bucket: (row[1], *map(_round, row[2:])) for bucket, row in found.items()}
 
 
 def _windows(db: sqlite3.Connection, given: dict[str, float]) -> dict[int, list[Any]]:

@@ -155,7 +155,7 @@ def test_ticks_of_imported_runs_are_not_of_this_rig(path: Path) -> None:
     assert Courses(path).between(at(0), at(31), 1000)["utc"] == [at(seq) for seq in TICKS]
 
 
-def test_later_looks_show_what_is_new_and_read_no_older_block_again(path: Path) -> None:
+def test_later_looks_show_what_is_new_and_read_no_older_row_again(path: Path) -> None:
     kept, asked = Courses(path), (at(0), at(61), 2000)
     kept.between(*asked)
     record(path, (tick(seq) for seq in range(31, 61)))
@@ -207,7 +207,7 @@ def test_a_backup_in_the_place_of_its_history_is_read_anew(path: Path, tmp_path:
 
 def test_what_is_kept_has_a_bound(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record(path, (tick(seq) for seq in range(31, 3001)))
-    monkeypatch.setattr(courses, "BLOCKS_MAX", 10)
+    monkeypatch.setattr(courses, "ROWS_MAX", 100)
     kept, asked = Courses(path), (at(0), at(2001), 2000)
     expected = Courses(path).between(*asked)
     tracemalloc.start()
@@ -217,4 +217,12 @@ def test_what_is_kept_has_a_bound(path: Path, monkeypatch: pytest.MonkeyPatch) -
         used, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert used < 2e5  # all blocks of this course take 9e5
+    assert used < 2e5  # all rows of this course take 9e5
+
+
+def test_a_drag_reads_what_is_missing_on_both_sides(path: Path) -> None:
+    kept = Courses(path)
+    for first, last in ((10, 20), (9, 21), (5, 15), (15, 25)):  # buckets of 0.44 s, all of them
+        asked = (at(first) - 1.0, at(last), 2000)
+        assert kept.between(*asked) == Courses(path).between(*asked)
+        assert len(kept.between(*asked)["utc"]) == last - first
