@@ -94,7 +94,7 @@ class BoxAnswers:
 def chamber_answers(seed: int, twins: Path | None = None) -> BoxAnswers:
     """Commission the chamber and compare. twins : folder with twins of an earlier run, and for this one's"""
     parameters, effects = load()
-    twin = _twin_by(twins, f"chamber_{seed}", partial(_chamber_twin, seed))
+    twin = _take_or_fit(twins, f"chamber_{seed}", partial(_chamber_twin, seed))
     factor = SHEETS_U[1] / SHEETS_U[0]
     resistance = 1.0 / SHEETS_U[1] - STANDARD_FILMS
     gap = replace(parameters.cover, gap_w_m2_k=1.0 / resistance)
@@ -121,7 +121,7 @@ def box_answers(number: int, twins: Path | None = None) -> BoxAnswers:
     """Commission a box of `bench.boxes` and compare. twins : as of `chamber_answers`"""
     facts = draw_box(number)
     try:
-        twin = _twin_by(twins, f"box_{number}", partial(_box_twin, facts))
+        twin = _take_or_fit(twins, f"box_{number}", partial(_box_twin, facts))
     except GreenhouseError as error:
         return BoxAnswers([f"box {number}, {facts.kind}: not commissioned: {error}"], [])
     return answers_of(facts, twin)
@@ -193,7 +193,7 @@ def _summary(kind: str, rows: Sequence[CheckedInterval]) -> Iterator[str]:
         yield f"{kind}: {name}: {holds} of {len(own)} intervals of 90 % hold; median width {width:.2f}"
 
 
-def _twin_by(twins: Path | None, name: str, fit: Callable[[], TwinFile]) -> TwinFile:
+def _take_or_fit(twins: Path | None, name: str, fit: Callable[[], TwinFile]) -> TwinFile:
     """Return the twin of an earlier run, or fit it and keep it for the next one."""
     path = None if twins is None else twins / f"{name}.yaml"
     if path is not None and path.exists():
