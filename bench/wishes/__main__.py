@@ -37,6 +37,7 @@ STATE = {
     "reference_c": 24.0,
     "controller": "MPC-Twin-P",
 }
+KINDS = ("wants no settings", "wants settings")
 VERDICTS = ("right", "ask", "refuse", "nothing", "wrong")
 
 
@@ -63,6 +64,7 @@ def score(model: LanguageModel, settings: Settings, wishes: Sequence[Wish]) -> l
         outcome, steering, reason = put(wish, model, settings)
         verdict = wish.verdict(outcome, steering, NOW)
         counts[wish.language, verdict] += 1
+        counts[KINDS[wish.best is WishEnd.SETTINGS], verdict] += 1
         if steering is not None:
             text = describe(steering, ZoneInfo("UTC"))
             hidden += hidden_values(steering, text, lambda one: describe(one, ZoneInfo("UTC")))
@@ -70,15 +72,23 @@ def score(model: LanguageModel, settings: Settings, wishes: Sequence[Wish]) -> l
         if verdict != "right":
             lines.append(f"{wish.id} {verdict:<8s}{wish.words[:60]} | {reason[:150]}")
     passed_s = time.monotonic() - begun_s
-    lines.append(f"{'':10s}" + "".join(f"{verdict:>9s}" for verdict in VERDICTS))
-    for language in dict.fromkeys(wish.language for wish in wishes):
-        lines.append(f"{language:10s}" + "".join(f"{counts[language, verdict]:9d}" for verdict in VERDICTS))
-    totals = [sum(counts[wish, verdict] for wish in ("en", "de", "no")) for verdict in VERDICTS]
-    lines.append(f"{'all':10s}" + "".join(f"{total:9d}" for total in totals))
+    lines += table(counts)
+    lines += [
+        f"who always {words} would be right in {sum(end in (one.best, *one.also) for one in wishes)}"
+        for words, end in (("asks back", WishEnd.ASK), ("proposes the impossible", WishEnd.REFUSE))
+    ]
     lines.append(f"values that a text for confirmation does not show: {', '.join(hidden) or 'none'}")
     lines.append(
         f"{passed_s / len(wishes):.1f} s and {model.budget.spent.tokens / len(wishes):.0f} tokens a wish"
     )
+    return lines
+
+
+def table(counts: Counter[tuple[str, str]]) -> list[str]:
+    """Return verdicts by language, and by whether settings are wanted."""
+    lines = [f"{'':18s}" + "".join(f"{verdict:>9s}" for verdict in VERDICTS)]
+    for name in dict.fromkeys(name for name, _ in counts):
+        lines.append(f"{name:18s}" + "".join(f"{counts[name, verdict]:9d}" for verdict in VERDICTS))
     return lines
 
 

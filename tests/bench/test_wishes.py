@@ -92,6 +92,14 @@ def test_the_table_counts_every_wish_once(tmp_path: Path) -> None:
     model.endpoint.line = ScriptedLine(says(answer(question="What?"))).post
     lines = wishes.score(model, settings, read_wishes())
     asked_rightly = sum(WishEnd.ASK in (wish.best, *wish.also) for wish in read_wishes())
-    total = next(line for line in lines if line.startswith("all"))
-    assert [int(word) for word in total.split()[1:]] == [asked_rightly, 100 - asked_rightly, 0, 0, 0]
+    first = next(place for place, line in enumerate(lines) if not line[:18].strip())
+    counted = {
+        line[:18].strip(): [int(word) for word in line[18:].split()] for line in lines[first + 1 : first + 6]
+    }
+    languages = [counted[name] for name in ("en", "de", "no")]
+    assert [sum(column) for column in zip(*languages, strict=True)] == [
+        asked_rightly, 100 - asked_rightly, 0, 0, 0
+    ]  # fmt: skip
+    assert sum(counted["wants settings"]) + sum(counted["wants no settings"]) == 100
+    assert f"who always asks back would be right in {asked_rightly}" in lines
     assert lines[-2].endswith("none")
