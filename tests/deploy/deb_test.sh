@@ -32,10 +32,11 @@ start() {
 
 end() {
     [ -z "$nspawn" ] || { kill -TERM "$nspawn" && wait "$nspawn"; } || true
-    umount "$root/dev/pts" "$root/proc" 2>/dev/null || true
-    rm -rf "$work"
+    umount -l "$root/dev/pts" "$root/proc" 2>/dev/null || true
+    rm -rf --one-file-system "$work"
 }
 trap end EXIT
+trap 'exit 1' INT TERM # dash ends without `end` otherwise, and /proc stays mounted below out/
 
 within() {
     if [ "$mode" = chroot ]; then
