@@ -1,6 +1,6 @@
 """A sentence of an operator, what would be right, and how an answer compares with it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import yaml
 
+from edge.assistant.requests.answer import seconds_of_clock
 from edge.tick.steering import Steering, reference_of
 
 FILE = Path(__file__).with_name("wishes.yaml")
 TARGET_K = 0.11  # a reference this near is the one that was meant
-DUTY = 1e-6
+ROUNDING = 1e-6  # a penalty, duty or time this far outside its range is in it
 
 
 class WishEnd(Enum):
@@ -67,7 +68,7 @@ class Wish:
                     found.append(f"{key} {value:g}, not asked for")
                 continue
             least, most = self.ranges[key]
-            if value is None or not least - DUTY <= value <= most + DUTY:
+            if value is None or not least - ROUNDING <= value <= most + ROUNDING:
                 found.append(f"{key} {value}, not {least:g} to {most:g}")
         return found
 
@@ -80,7 +81,7 @@ class Wish:
         found = []
         for clock, meant in self.at.items():
             least, most = meant if isinstance(meant, list) else (meant - TARGET_K, meant + TARGET_K)
-            at = np.array([_seconds(clock)])
+            at = np.array([seconds_of_clock(clock)])
             target = float(reference.at(at, at)[0])
             if not least <= target <= most:
                 found.append(f"{target:g} °C at {clock}")
@@ -89,8 +90,8 @@ class Wish:
     def _fan(self, steering: Steering) -> list[str]:
         if not (self.fan_off or self.fan_free):
             return ["a rest of the fan that was not asked for"] if steering.fan_rest else []
-        runs = [clock for clock in self.fan_off if not steering.rest_left_s(_seconds(clock)) > 0.0]
-        rests = [clock for clock in self.fan_free if steering.rest_left_s(_seconds(clock)) > 0.0]
+        runs = [clock for clock in self.fan_off if not steering.rest_left_s(seconds_of_clock(clock)) > 0.0]
+        rests = [clock for clock in self.fan_free if steering.rest_left_s(seconds_of_clock(clock)) > 0.0]
         return [
             *(f"the fan may run at {clock}" for clock in runs),
             *(f"the fan rests at {clock}" for clock in rests),
@@ -102,7 +103,9 @@ def read_wishes(path: Path = FILE) -> list[Wish]:
     return [_wish(row) for row in yaml.safe_load(path.read_text(encoding="utf-8"))]
 
 
-def hidden_values(steering: Steering, lines: list[str], describe: Any) -> list[str]:
+def hidden_values(
+    steering: Steering, lines: list[str], describe: Callable[[Steering], list[str]]
+) -> list[str]:
     """Return the keys whose value a confirmation text does not show.
 
     describe : makes the text's lines of a steering
@@ -130,8 +133,3 @@ def _wish(row: Mapping[str, Any]) -> Wish:
     given |= {key: tuple(given[key]) for key in ("fan_off", "fan_free", "may") if key in given}
     best, also = WishEnd(given.pop("best")), tuple(map(WishEnd, given.pop("also", ())))
     return Wish(**given, best=best, also=also, ranges=ranges)
-
-
-def _seconds(clock: str) -> float:
-    hours, minutes = clock.split(":")
-    return 3600.0 * int(hours) + 60.0 * int(minutes)

@@ -29,7 +29,7 @@ HTML_MAX = 8 << 20  # bytes
 FINDINGS_MAX = 3  # of where it disagrees; the whole report has more
 LOG_MAX = 4096  # bytes of a log's end
 TEXT_MAX = 600  # characters of a sentence
-HTML, LOG, TWIN, PROFILE = "report.html", "log.txt", "twin.yaml", "next_experiment.csv"
+HTML, LOG, PROFILE = "report.html", "log.txt", "next_experiment.csv"
 
 
 def summaries(reports: Path) -> list[Json]:

@@ -109,7 +109,7 @@ def understood(
         said = read(WishAnswer, document)
         daily = tuple(
             DailyTarget(
-                _seconds(target.start),
+                seconds_of_clock(target.start),
                 read_number(target.degc, f"reference[{place}].degc", limits.min_c, limits.max_c),
             )
             for place, target in enumerate(said.reference)
@@ -124,7 +124,9 @@ def understood(
         heater_penalty=said.heater_penalty,
         fan_penalty=said.fan_penalty,
         heater_max_duty=said.heater_max_duty,
-        fan_rest=tuple(FanRest(_seconds(rest.start), _seconds(rest.until)) for rest in said.fan_rest),
+        fan_rest=tuple(
+            FanRest(seconds_of_clock(rest.start), seconds_of_clock(rest.until)) for rest in said.fan_rest
+        ),
     )
     text, question = plain(said.understood, TEXT_MAX), plain(said.question, TEXT_MAX)
     # A model that asks has not understood: what it guessed beside its question must not steer.
@@ -138,7 +140,7 @@ def _asks_for_nothing(steering: Steering) -> bool:
     return not steering.daily and not steering.fan_rest and all(value is None for value in values)
 
 
-def _seconds(clock: str) -> float:
+def seconds_of_clock(clock: str) -> float:
     """Convert "HH:MM" to seconds since midnight."""
     hours, minutes = clock.split(":")
     return 3600.0 * int(hours) + 60.0 * int(minutes)
