@@ -6,12 +6,8 @@ in a failure that is told, and the rig must not notice. No part of `make test`: 
 """
 
 import argparse
-import os
-import site
 import subprocess
 import time
-import urllib.request
-import venv
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.llm_closed_loop import REFERENCE_C, RunRemains, run
-from bench.support.broker import free_port
+from bench.support.llm_server import TRANSFORMERS, environment, transformers_server, version_of
 from edge.assistant.llm.budget import Budget, Spending
 from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.failure import LlmFailure
@@ -29,9 +25,7 @@ from edge.config.settings import LlmSettings
 ROOT = Path(__file__).parents[1]
 PLACE = ROOT / "out" / "llm_real"
 RESULT = Path(__file__).parent / "results" / "llm_real_server.txt"
-PACKAGE = "transformers[serving]"
 CONTROLLERS = ("LLM-Te0", "LLM-SQL-Te0", "LLM-SQL-Te1", "LLM-Linear-Te0-P")
-START_S = 180.0
 ANSWER_TOKENS = 64  # the model has one token per byte and no sense when to end
 YAML = f"""
 timezone: UTC
@@ -42,54 +36,14 @@ reference: {{kind: constant, reference_c: {REFERENCE_C}}}
 HEADER = f"{'controller':<18s} {'ticks':>5s} {'decided by':<22s} {'air, min..max':<15s} failures told"
 
 
-def server_environment() -> Path:
-    """Its python, with the package installed; torch is lent by the environment that runs this."""
-    python = PLACE / "venv" / "bin" / "python"
-    if not (PLACE / "venv" / "installed").exists():
-        venv.create(PLACE / "venv", with_pip=True)
-        (library,) = (PLACE / "venv" / "lib").glob("python3.*/site-packages")
-        (library / "lent.pth").write_text("\n".join(site.getsitepackages()) + "\n")
-        subprocess.run([python, "-m", "pip", "install", "--quiet", PACKAGE], check=True)
-        (PLACE / "venv" / "installed").touch()
-    return python
-
-
 @contextmanager
-def real_server(python: Path) -> Iterator[tuple[str, str]]:
-    """Yield the base URL and the model's name, while the server runs."""
-    model, port = PLACE / "model", free_port()
+def random_model_server() -> Iterator[tuple[str, str, str]]:
+    """Yield the base URL, the model's name and the version of transformers, while the server runs."""
+    python = environment(PLACE, (TRANSFORMERS,), lends_torch=True)
+    model = PLACE / "model"
     subprocess.run([python, Path(__file__).with_name("llm_random_model.py"), model], check=True)
-    command = [
-        str(python.with_name("transformers")),
-        "serve",
-        str(model),
-        "--device",
-        "cpu",
-        "--port",
-        str(port),
-    ]
-    with (PLACE / "server.log").open("w") as log:
-        offline = {**os.environ, "HF_HUB_OFFLINE": "1"}
-        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=offline)
-    try:
-        _wait_until_ready(process, f"http://127.0.0.1:{port}/health")
-        yield f"http://127.0.0.1:{port}/v1", str(model)
-    finally:
-        process.terminate()
-        process.wait(30.0)
-
-
-def _wait_until_ready(process: "subprocess.Popen[bytes]", url: str) -> None:
-    give_up = time.monotonic() + START_S
-    while time.monotonic() < give_up:
-        if process.poll() is not None:
-            raise SystemExit(f"the server ended, see {PLACE / 'server.log'}")
-        try:
-            with urllib.request.urlopen(url, timeout=5.0):
-                return
-        except OSError:
-            time.sleep(0.5)
-    raise SystemExit(f"the server was not ready within {START_S:g} s")
+    with transformers_server(python, model.name, PLACE) as url:
+        yield url, model.name, version_of(python, "transformers")
 
 
 def one_exchange(url: str, model: str, tokens: int) -> str:
@@ -120,16 +74,11 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--minutes", type=int, default=15, help="of simulated time for each controller")
     parser.add_argument("--out", type=Path, default=RESULT)
     arguments = parser.parse_args(words)
-    python = server_environment()
-    version = subprocess.run(
-        [python, "-c", "import transformers; print(transformers.__version__)"],
-        capture_output=True, text=True, check=True,
-    ).stdout.strip()  # fmt: skip
-    lines = [
-        "# python -m bench.llm_real_server",
-        f"# transformers serve {version}, a Llama of 2 layers with random weights: noise on a valid wire",
-    ]
-    with real_server(python) as (url, model):
+    with random_model_server() as (url, model, version):
+        lines = [
+            "# python -m bench.llm_real_server",
+            f"# transformers serve {version}, a Llama of 2 layers with random weights: noise on a valid wire",
+        ]
         lines += [one_exchange(url, model, tokens) for tokens in (16, 2000)]
         lines += [HEADER]
         for controller in CONTROLLERS:

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from edge.config.settings import LlmSettings
 from edge.core.errors import GreenhouseError
 from training.rl import command as rl
 from training.sweep import add_arguments, sweep
@@ -127,6 +128,10 @@ def _add_compare(sub: argparse.ArgumentParser) -> None:
         "--llm-url", default="", help="endpoint of the LLM controllers (usual: the scripted stand-in)"
     )
     sub.add_argument("--llm-model", default="stand-in", help="its model (usual: the scripted stand-in)")
+    usual = LlmSettings()
+    for name in ("exchanges", "answer_tokens"):
+        words, value = f"--llm-{name.replace('_', '-')}", getattr(usual, name)
+        sub.add_argument(words, type=int, default=value, help=f"as llm.{name} (usual: {value})")
     sub.add_argument(
         "--kept",
         action="store_true",

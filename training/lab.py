@@ -122,6 +122,7 @@ class Lab:
     speed : simulated seconds per real second; None: as fast as the machine goes
     clock : makes the daemon's clock from the board's, e.g. one that watches the pins
     recorded : each tick is in the history before the next begins, for controllers that read it
+    answer_s : after each tick a language model has so long for an answer that was late, as on a rig
     with_truth : keep the chamber's true state at each tick in `truths`
     on_start, on_tick : called with the daemon wired, and after each tick
     daemon : further fields of `Daemon`, e.g. `reference`, `more_controllers`
@@ -141,6 +142,7 @@ class Lab:
         speed: float | None = None,
         clock: Callable[[Any], Clock] = lambda board: board,
         recorded: bool = False,
+        answer_s: float = 0.0,
         with_truth: bool = False,
         on_start: Callable[[], None] = lambda: None,
         on_tick: Callable[[TickRecord], None] = lambda record: None,
@@ -154,6 +156,7 @@ class Lab:
         self._chamber, self._faults, self._options = chamber, faults, options
         self._plant = plant
         self._make_clock, self._recorded, self._with_truth = clock, recorded, with_truth
+        self._answer_s = answer_s
         self._on_start, self._on_tick, self._more = on_start, on_tick, daemon
         # So many ticks the history holds then.
         self._last_tick: float = math.inf
@@ -198,6 +201,12 @@ class Lab:
         self._is_stopped = True
         self._daemon.stop()
 
+    @property
+    def counted(self) -> Mapping[str, int]:
+        """The counts of the last run's language model, empty without one."""
+        model = self._daemon.language_model
+        return {} if model is None else dict(model.counted)
+
     def columns(self) -> dict[str, NDArray[np.float64]]:
         """Return the history with its truths as columns with a row per tick;
         NaN for a measurement that is not good.
@@ -230,6 +239,8 @@ class Lab:
     def _after_tick(self, record: TickRecord) -> None:
         if self._recorded:
             _wait_recorded(Path(self.settings.history.path), record.seq)
+        if self._answer_s and self._daemon.language_model is not None:
+            self._daemon.language_model.wait(self._answer_s)
         if self._is_limited:
             self.history.append(record)
         if self._with_truth:

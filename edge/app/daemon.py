@@ -75,6 +75,7 @@ class Daemon:
     commissioning: Commissioning | None = None  # of a service that can commission its box
     _stack: ExitStack = field(default_factory=ExitStack)
     _loop: Loop | None = None
+    language_model: LanguageModel | None = None  # once it runs, where one is configured
 
     def __enter__(self) -> Self:
         try:
@@ -114,7 +115,7 @@ class Daemon:
     def _wire(self) -> Loop:
         settings, stack = self.settings, self._stack
         bundles = self._bundles()
-        llm = self._language_model()
+        llm = self.language_model = self._language_model()
         models = ActiveModels(settings, bundles, restore(SKILL, settings), llm)
         skill = HourlySink(SKILL, settings, lambda: models.forecasting.state)
         stack.callback(skill.close)

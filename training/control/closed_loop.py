@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,8 @@ class ClosedLoopLog:
     instead : why another controller decided -> ticks
     time_boxes : decisions that the wall clock cut short
     tokens : of a language model
+    asked : of a language model, as `LanguageModel.counted`; "in_time" ticks that it decided when asked,
+        "later" those that an older answer decided
     plans : per tick the air that the controller expected after each of the next steps [°C], or empty
     """
 
@@ -34,6 +36,7 @@ class ClosedLoopLog:
     time_boxes: int
     tokens: int
     plans: tuple[tuple[float, ...], ...] = ()
+    asked: Counter[str] = field(default_factory=Counter)
 
 
 def closed_loop(settings: Settings, instead: Controller | None = None, **more: Any) -> Lab:
@@ -44,13 +47,16 @@ def closed_loop(settings: Settings, instead: Controller | None = None, **more: A
     assistance = LLM[settings.control.controller].assistance if settings.control.controller in LLM else ""
     if instead is not None:
         more |= {"more_controllers": (instead,), "experiment": instead.name}
-    return Lab(settings, recorded=assistance == "sql", with_truth=True, **more)
+    answer_s = settings.control.step_s - settings.control.decision_deadline_s
+    return Lab(settings, recorded=assistance == "sql", answer_s=answer_s, with_truth=True, **more)
 
 
 def log_of(lab: Lab, instead: Controller | None = None) -> ClosedLoopLog:
     """Return the run of `closed_loop`, with the same controller `instead`."""
     name = lab.settings.control.controller if instead is None else instead.name
     whys = [record.decision.why for record in lab.history]
+    ages_s = [why["asked_s_ago"] for why in whys if "asked_s_ago" in why]
+    counted = Counter(lab.counted)
     return ClosedLoopLog(
         lab.columns(),
         Counter(
@@ -62,6 +68,7 @@ def log_of(lab: Lab, instead: Controller | None = None) -> ClosedLoopLog:
             if record.decision.controller != name
         ),
         sum(bool(why.get("time_box_fired", False)) for why in whys),
-        sum(int(why.get("tokens", 0) or 0) for why in whys),
+        counted["sent"] + counted["received"],
         tuple(tuple(record.decision.forecast) for record in lab.history),
+        counted + Counter(in_time=ages_s.count(0.0), later=len(ages_s) - ages_s.count(0.0)),
     )

@@ -23,9 +23,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from edge.config.settings import LlmSettings
+from edge.core.controller_names import LLM
 from edge.core.errors import DataError
 from edge.formats.table import Table
 from training.control.comparison import (
+    BY,
     FIGURES_FILE,
     STAND_IN_MODEL,
     TIMES_FILE,
@@ -36,22 +38,26 @@ from training.control.comparison import (
     column,
     first_change,
     json_of,
+    of_stand_in,
     parts_table,
     read_results,
     read_times,
     references_of,
     result,
+    rows_of,
     seeds_of,
     spread_text,
     table,
     times_beside,
     times_json,
     times_table,
+    without_stand_in,
 )
 from training.control.figures import DecisionTime, decision_time, mean_of
 from training.control.job import ComparisonJob, is_kept, read, run_all
 from training.control.pictures import bars_picture, png, runs_picture
 from training.control.rig import SPARING, entries
+from training.llm_stand_in import MODEL as STAND_IN
 from training.llm_stand_in.server import StandIn
 from training.reports.comparison_report import read_findings, words_as_html
 
@@ -87,12 +93,12 @@ def energy_tables(results: Results, names: Sequence[str], reference: str) -> lis
 def energy_table(
     results: Results, names: Sequence[str], reference: str, air: str = "the true air"
 ) -> Table | None:
-    """Return a line per controller; None where ours has not run at every weight.
+    """Return a line per row that has run; None where ours has not run at every weight.
 
-    air : of AIRS
+    names : entries; air : of AIRS
     """
     rows = []
-    for name in names:
+    for name in rows_of(results, names):
         if name in OURS or name.startswith("clairvoyant"):
             continue
         shared = set.intersection(*(seeds_of(results, one, reference) for one in (name, *OURS)))
@@ -150,14 +156,13 @@ def _draw(axes: Axes, results: Results, names: Sequence[str], reference: str) ->
         energy, mae = ours[np.argsort(ours[:, 0])].T
         axes.plot(energy, mae, "o-", color="tab:red", label="MPC-Twin, by weight of effort")
     seen: set[str] = set()
-    for name in names:
+    for name in rows_of(results, names):
         points = _points(results, name, reference)
         if name in OURS or not len(points):
             continue
         family = next(family for family in FAMILIES if name.startswith(family))
         marker, colour = FAMILIES[family]
-        remark = next((f": {one.remark}" for one in results if one.entry == name and one.remark), "")
-        label = "" if family in seen else family + remark
+        label = "" if family in seen else family
         seen.add(family)
         axes.plot(*points.mean(axis=0), marker, color=colour, label=label, markersize=6, alpha=0.8)
     axes.set_xlabel("energy of the heater [Wh]")
@@ -180,7 +185,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command and return its exit code. Errors: GreenhouseError
 
     arguments : controllers (empty: all), references, seeds, runs, results, images (folders), workers, dask,
-        kept, beside_kept, llm_url, llm_model, check, tolerance
+        kept, beside_kept, llm_url, llm_model, llm_exchanges, llm_answer_tokens, check, tolerance
     """
     known = entries()
     unknown = set(arguments.controllers or ()) - known.keys()
@@ -211,7 +216,7 @@ def run(arguments: argparse.Namespace) -> int:
     if is_beside:
         names = list(known)
         results = beside(kept, results, names)
-        times = times_beside(read_times(arguments.results), times, names)
+        times = times_beside(read_times(arguments.results), times, rows_of(without_stand_in(results), names))
     print(text_of(results, names), end="")
     shown = [*done, *(job for job in drawn if is_kept(job, arguments.runs))]
     _write(results, times, pictures_of(results, shown, arguments.runs, names), names, arguments)
@@ -222,7 +227,12 @@ def run(arguments: argparse.Namespace) -> int:
 def _endpoint(arguments: argparse.Namespace) -> Iterator[LlmSettings]:
     """Yield the endpoint of the LLM rows: a given server, none for saved runs, else a stand-in of our own."""
     if arguments.kept or arguments.llm_url:
-        yield LlmSettings(url=arguments.llm_url or KEPT_URL, model=arguments.llm_model)
+        yield LlmSettings(
+            url=arguments.llm_url or KEPT_URL,
+            model=arguments.llm_model,
+            exchanges=arguments.llm_exchanges,
+            answer_tokens=arguments.llm_answer_tokens,
+        )
         return
     if arguments.llm_model != STAND_IN_MODEL:
         raise DataError(f"--llm-model: {arguments.llm_model} needs --llm-url, the server that has it")
@@ -235,8 +245,9 @@ def _figures(jobs: Sequence[ComparisonJob], runs: Path) -> tuple[list[RunResult]
     times: dict[str, list[DecisionTime]] = {}
     for job in jobs:
         log = read(job, runs)
-        results.append(result(job, log))
-        times.setdefault(job.entry.name, []).append(decision_time(log))
+        results.append(found := result(job, log))
+        if found.model != STAND_IN:
+            times.setdefault(found.row, []).append(decision_time(log))
     return results, times
 
 
@@ -304,16 +315,24 @@ def _section(
 
 
 def _tables(results: Sequence[RunResult], names: Sequence[str]) -> list[Table]:
-    references = references_of(results)
-    tables = [table(results, names, reference) for reference in references]
-    tables += [one for each in references if (one := parts_table(results, names, each)) is not None]
-    return tables + [one for each in references for one in energy_tables(results, names, each)]
+    references, ranked, scripted = references_of(results), without_stand_in(results), of_stand_in(results)
+    tables = [table(ranked, names, each) for each in references]
+    tables += [one for each in references if (one := parts_table(ranked, names, each)) is not None]
+    tables += [one for each in references for one in energy_tables(ranked, names, each)]
+    # Beside the limits, which every table needs that ranks by them.
+    limits = [one for one in ranked if one.entry not in LLM]
+    for each in references_of(scripted):
+        only = [name for name in names if name in LLM]
+        tables.append(table([*limits, *scripted], only, each, f"{each}: {STAND_IN}"))
+    return tables
 
 
 def drawn_jobs(references: Sequence[str], seed: int, llm: LlmSettings) -> list[ComparisonJob]:
-    """Return the runs that the pictures show minute by minute."""
+    """Return the runs that the pictures show minute by minute; a script's are no language model's."""
     known = entries()
     names = [name for side in DRAWN.values() for name in side]
+    if llm.model == STAND_IN_MODEL:
+        names = [name for name in names if name not in LLM]
     return [ComparisonJob(known[name], reference, seed, llm) for reference in references for name in names]
 
 
@@ -321,8 +340,9 @@ def pictures_of(
     results: Sequence[RunResult], jobs: Sequence[ComparisonJob], runs: Path, names: Sequence[str]
 ) -> dict[str, bytes]:
     """PNG by file name without its ending; runs of the first seed that there is."""
+    results = without_stand_in(results)
     references = references_of(results)
-    labels = {one.entry: f"{one.entry}\n{one.remark}".strip() for one in results}
+    labels = {one.entry: one.row.replace(BY, "\n") for one in results}
     pictures = {}
     for reference in references:
         for ending, drawn in DRAWN.items():

@@ -19,6 +19,7 @@ from training.evaluate.difference import first_difference
 from training.llm_stand_in import MODEL as STAND_IN
 
 STAND_IN_MODEL = "stand-in"  # its name as `llm.model`
+BY = " by "  # between an entry and the model that decided
 EVERYTHING, COMING, BAND, PRESENT = range(4)
 KNOWLEDGE = (
     "everything", "coming reference", "coming, kept to until 0.3 K of a step", "present reference",
@@ -27,13 +28,18 @@ KNOWLEDGE = (
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """One run in figures."""
+    """One run in figures. model : of a language model's row, with size and quantisation; "" of all others"""
 
     entry: str
     reference: str
     seed: int
     figures: Figures
-    remark: str = ""
+    model: str = ""
+
+    @property
+    def row(self) -> str:
+        """Its row's name in tables: each language model has rows of its own."""
+        return f"{self.entry}{BY}{self.model}" if self.model else self.entry
 
 
 Results = Sequence[RunResult]
@@ -41,37 +47,53 @@ Results = Sequence[RunResult]
 
 def result(job: ComparisonJob, log: ClosedLoopLog) -> RunResult:
     """Return the result of one saved run."""
-    remark = job.llm.model if job.entry.controller in LLM else ""
-    remark = STAND_IN if remark == STAND_IN_MODEL else remark
-    return RunResult(job.entry.name, job.reference, job.seed, figures(log), remark)
+    model = job.llm.model if job.entry.controller in LLM else ""
+    model = STAND_IN if model == STAND_IN_MODEL else model
+    return RunResult(job.entry.name, job.reference, job.seed, figures(log), model)
 
 
-def column(results: Results, entry: str, reference: str, name: str) -> list[float]:
+def without_stand_in(results: Results) -> list[RunResult]:
+    """Return the runs that are ranked: without those in which a script stood in for a language model."""
+    return [one for one in results if one.model != STAND_IN]
+
+
+def of_stand_in(results: Results) -> list[RunResult]:
+    """Return the runs in which a script stood in for a language model."""
+    return [one for one in results if one.model == STAND_IN]
+
+
+def rows_of(results: Results, names: Sequence[str]) -> list[str]:
+    """Return the rows that have run, in the order of the entries `names`."""
+    found = {(one.entry, one.row) for one in results}
+    return [row for name in names for entry, row in sorted(found) if entry == name]
+
+
+def column(results: Results, row: str, reference: str, name: str) -> list[float]:
     """Return a figure by seed, in the seeds' order; empty where there is no run."""
-    mine = sorted((one for one in results if (one.entry, one.reference) == (entry, reference)), key=_seed)
+    mine = sorted((one for one in results if (one.row, one.reference) == (row, reference)), key=_seed)
     return [float(value) for one in mine if (value := getattr(one.figures, name)) is not None]
 
 
 def regret(
-    results: Results, entry: str, reference: str, by_sensor: bool, among_equals: bool = False
+    results: Results, row: str, reference: str, by_sensor: bool, among_equals: bool = False
 ) -> Mean | None:
     """Return the cost by the limit's of the same weight, None without a run of either.
 
     The limit of a seed is the cheapest of all its runs by that cost: the clairvoyant's own plan, that of its
     sibling for the other weight, or a controller's. A beam search prunes and may miss the best plan.
-    among_equals : only the runs that do no more with the coming reference than `entry`
+    among_equals : only the runs that do no more with the coming reference than `row`
     """
-    ending = "-P" if "-P" in entry else ""
+    ending = "-P" if "-P" in _entry(row) else ""
     cost = ("sensor_cost_" if by_sensor else "cost_") + ("1" if ending else "0")
     limits = clairvoyants(by_sensor, bool(ending))
-    both = seeds_of(results, entry, reference) & set().union(
+    both = seeds_of(results, row, reference) & set().union(
         *(seeds_of(results, limit, reference) for limit in limits)
     )
     rows = [one for one in results if one.reference == reference and one.seed in both]
-    least = _knowledge(entry) if among_equals else EVERYTHING
-    equals = [one for one in rows if least <= COMING or _knowledge(one.entry) >= least]
+    least = _knowledge(row) if among_equals else EVERYTHING
+    equals = [one for one in rows if least <= COMING or _knowledge(one.row) >= least]
     best = [min(getattr(one.figures, cost) for one in equals if one.seed == seed) for seed in sorted(both)]
-    return ratio(column(rows, entry, reference, cost), best) if both else None
+    return ratio(column(rows, row, reference, cost), best) if both else None
 
 
 def clairvoyants(by_sensor: bool, penalised: bool) -> list[str]:
@@ -105,13 +127,15 @@ NOTE = (
 )
 
 
-def table(results: Results, names: Sequence[str], reference: str) -> Table:
-    """Return one line per controller that has run, ranked within equal knowledge."""
-    heads = ("controller", "knows", "seeds", *COLUMNS, "x best", "x sensor", "x equal", "remark")
-    remarks = {one.entry: one.remark for one in results if one.reference == reference}
+def table(results: Results, names: Sequence[str], reference: str, title: str = "") -> Table:
+    """Return one line per row that has run, ranked within equal knowledge.
+
+    names : entries; title : in place of the reference's name
+    """
+    heads = ("controller", "knows", "seeds", *COLUMNS, "x best", "x sensor", "x equal")
     ranked = ranking(results, names, reference)
-    rows = tuple((*_cells(results, name, reference), remarks[name]) for name in ranked)
-    return Table(f"{reference}", heads, rows, NOTE)
+    rows = tuple(tuple(_cells(results, row, reference)) for row in ranked)
+    return Table(title or reference, heads, rows, NOTE)
 
 
 def parts_table(results: Results, names: Sequence[str], reference: str) -> Table | None:
@@ -124,32 +148,36 @@ def parts_table(results: Results, names: Sequence[str], reference: str) -> Table
         shared = seeds_of(results, name, reference) & seeds_of(results, limit, reference)
         if name in names and shared:
             mine = [one for one in results if one.seed in shared]
-            remark = next(one.remark for one in mine if (one.entry, one.reference) == (name, reference))
             costs = (column(mine, one, reference, "sensor_cost_1") for one in (name, limit))
-            rows.append((name, limit, str(len(shared)), spread_text(ratio(*costs), 2), remark))
-    heads = ("controller", "by", "seeds", "x", "remark")
+            rows.append((name, limit, str(len(shared)), spread_text(ratio(*costs), 2)))
     note = "Costs at the sensor, seed by seed."
-    return Table(f"{reference}: against a fan of whole steps", heads, tuple(rows), note) if rows else None
+    title = f"{reference}: against a fan of whole steps"
+    return Table(title, ("controller", "by", "seeds", "x"), tuple(rows), note) if rows else None
 
 
 def ranking(results: Results, names: Sequence[str], reference: str) -> list[str]:
-    """Return the names that have run, by knowledge and then by their cost at the sensor."""
+    """Return the rows that have run, by knowledge and then by their cost at the sensor."""
 
-    def place(name: str) -> tuple[int, float]:
-        found = regret(results, name, reference, by_sensor=True)
-        return _knowledge(name), float("inf") if found is None else found.value
+    def place(row: str) -> tuple[int, float]:
+        found = regret(results, row, reference, by_sensor=True)
+        return _knowledge(row), float("inf") if found is None else found.value
 
-    return sorted((name for name in names if column(results, name, reference, "mae_true")), key=place)
+    here = [one for one in results if one.reference == reference]
+    return sorted(rows_of(here, names), key=place)
 
 
-def knowledge(name: str) -> str:
-    """Return how much an entry of the table knows of what is to come: one of KNOWLEDGE."""
-    return KNOWLEDGE[_knowledge(name)]
+def knowledge(row: str) -> str:
+    """Return how much a row of the table knows of what is to come: one of KNOWLEDGE."""
+    return KNOWLEDGE[_knowledge(row)]
+
+
+def _entry(row: str) -> str:
+    return row.partition(BY)[0]
 
 
 @cache
-def _knowledge(name: str) -> int:
-    entry = entries()[name]
+def _knowledge(row: str) -> int:
+    entry = entries()[_entry(row)]
     if entry.keeps_band:
         return BAND
     if entry.clairvoyant is not None:
@@ -157,15 +185,15 @@ def _knowledge(name: str) -> int:
     return COMING if entry.preview else PRESENT
 
 
-def _cells(results: Results, name: str, reference: str) -> Iterator[str]:
-    yield name
-    yield knowledge(name)
-    yield str(len(column(results, name, reference, "mae_true")))
+def _cells(results: Results, row: str, reference: str) -> Iterator[str]:
+    yield row
+    yield knowledge(row)
+    yield str(len(column(results, row, reference, "mae_true")))
     for figure, digits in COLUMNS.values():
-        values = column(results, name, reference, figure)
+        values = column(results, row, reference, figure)
         yield spread_text(mean_of(values), digits) if values else "-"
     for by_sensor, among_equals in ((False, False), (True, False), (True, True)):
-        found = regret(results, name, reference, by_sensor, among_equals)
+        found = regret(results, row, reference, by_sensor, among_equals)
         yield "-" if found is None else spread_text(found, 2)
 
 
@@ -193,9 +221,9 @@ def _seed(one: RunResult) -> int:
     return one.seed
 
 
-def seeds_of(results: Results, entry: str, reference: str) -> set[int]:
+def seeds_of(results: Results, row: str, reference: str) -> set[int]:
     """Return the seeds that have run."""
-    return {one.seed for one in results if (one.entry, one.reference) == (entry, reference)}
+    return {one.seed for one in results if (one.row, one.reference) == (row, reference)}
 
 
 def references_of(results: Results) -> list[str]:
@@ -248,7 +276,7 @@ def beside(kept: Results, now: Results, names: Sequence[str]) -> list[RunResult]
     runs = {_run(one): one for one in (*kept, *now)}
     order = {name: i for i, name in enumerate(names)}
     known = (one for one in runs.values() if one.entry in order)  # not one that has been given up
-    return sorted(known, key=lambda one: (one.reference, one.seed, order[one.entry]))
+    return sorted(known, key=lambda one: (one.reference, one.seed, order[one.entry], one.model))
 
 
 def times_beside(kept: Times, now: Times, names: Sequence[str]) -> Times:
@@ -264,7 +292,7 @@ def first_change(kept: Results, now: Results, tolerance: float = 0.0) -> str:
     """
     runs = {_run(one): one for one in kept}
     for one in now:
-        place = f"{one.entry}, {one.reference}, seed {one.seed}"
+        place = f"{one.row}, {one.reference}, seed {one.seed}"
         if (before := runs.get(_run(one))) is None:
             return f"{place}: no such run is kept"
         if found := first_difference(asdict(before), asdict(_round(before, one, tolerance)), place=place):
@@ -280,4 +308,4 @@ def _round(saved: RunResult, now: RunResult, tolerance: float) -> RunResult:
 
 
 def _run(one: RunResult) -> tuple[str, str, int]:
-    return one.entry, one.reference, one.seed
+    return one.row, one.reference, one.seed

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from edge.controllers.mpc_bfgs import MpcBfgs
 from edge.controllers.mpc_twin import CLASH_WEIGHT
 from edge.controllers.rules import Rules
 from edge.core.controller import Controller
+from edge.core.controller_names import LLM
 from edge.core.errors import DataError
 from edge.core.names import HEATER_LEVELS
 from edge.formats.atomic_file import write_atomically
@@ -74,12 +76,14 @@ class ComparisonJob:
         if self.entry.thresholds is not None:
             facts["thresholds"] = asdict(self.entry.thresholds)
         if settings.llm.model:
-            facts["llm"] = settings.llm.model  # wherever it runs
+            llm = settings.llm  # wherever it runs
+            facts["llm"] = [llm.model, llm.exchanges, llm.answer_tokens]
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
     def folder(self, root: Path) -> Path:
         """Return the run's folder."""
-        return root / self.reference / self.entry.name.replace("/", "_") / f"seed_{self.seed}"
+        row = self.entry.name if self.entry.controller not in LLM else f"{self.entry.name}_{self.llm.model}"
+        return root / self.reference / re.sub(r"[^\w.-]+", "_", row) / f"seed_{self.seed}"
 
 
 def is_kept(job: ComparisonJob, root: Path) -> bool:
@@ -164,6 +168,7 @@ def keep(job: ComparisonJob, log: ClosedLoopLog, root: Path) -> None:
         "instead": dict(log.instead),
         "time_boxes": log.time_boxes,
         "tokens": log.tokens,
+        "asked": dict(log.asked),
     }
     write_atomically(folder / "run.json", json.dumps(facts, indent=1) + "\n")
 
@@ -183,6 +188,7 @@ def read(job: ComparisonJob, root: Path) -> ClosedLoopLog:
             Counter(facts["instead"]),
             facts["time_boxes"],
             facts["tokens"],
+            asked=Counter(facts.get("asked", {})),
         )
 
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from training.control.comparison import Results, column
+from training.control.comparison import Results, column, rows_of
 from training.control.figures import mean_of
 
 Floats = NDArray[np.float64]
@@ -53,7 +53,7 @@ def _draw_run(axes: Sequence[Axes], name: str, columns: Mapping[str, Floats]) ->
 
 def bars_picture(results: Results, names: Sequence[str], references: Sequence[str]) -> bytes:
     """Draw the true MAE by controller and reference, whiskers: 95 % confidence over the seeds."""
-    present = [name for name in names if any(column(results, name, r, "mae_true") for r in references)]
+    present = rows_of(results, names)
     figure = Figure(figsize=(max(7.0, 0.62 * len(present) + 1.5), 4.4), layout="constrained")
     axes = figure.subplots()
     width = 0.8 / len(references)
@@ -68,9 +68,7 @@ def bars_picture(results: Results, names: Sequence[str], references: Sequence[st
     axes.set_xticks(range(len(present)), present, rotation=60, ha="right", fontsize="small")
     axes.set_ylabel("MAE, true air [K]")
     axes.axhspan(0.0, 0.5, color="black", alpha=0.06, lw=0)
-    remarks = sorted({f"{_family(one.entry)}: {one.remark}. " for one in results if one.remark})
-    title = "-P: with penalty. " + "".join(remarks) + "Grey: within the sensor's ±0.5 K"
-    axes.set_title(title, fontsize="medium")
+    axes.set_title("-P: with penalty. Grey: within the sensor's ±0.5 K", fontsize="medium")
     axes.legend(fontsize="small")
     return png(figure)
 
@@ -80,8 +78,3 @@ def png(figure: Figure) -> bytes:
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=DPI, pil_kwargs={"optimize": True})
     return out.getvalue()
-
-
-def _family(entry: str) -> str:
-    """Return the name that an entry's variants share."""
-    return "LLM" if entry.startswith("LLM") else entry.split("/")[0].removesuffix("-P")

@@ -1,5 +1,6 @@
 """A controller's answer in JSON: what it must look like, and strictly nothing else."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,8 @@ from edge.formats.reader import DocumentError, read
 
 RATIONALE_MAX = 1200  # characters that are kept
 SNAP = 1e-6  # a duty this near a level is that level
+# Named one by one: a grammar can hold a model to a list, not to a range.
+LEVELS = [level / HEATER_LEVELS for level in range(HEATER_LEVELS + 1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +43,18 @@ class SimulatedControls(SaidControls):
     simulation: str = ""
 
 
-def answer_schema(with_simulation: bool) -> Schema:
-    """Return the JSON schema of the answer. A strict schema lists every property as required."""
+def answer_schema(simulations: Sequence[str] | None) -> Schema:
+    """Return the JSON schema of the answer. A strict schema lists every property as required.
+
+    simulations : ids that it may cite, empty while there is none; None where nothing is simulated
+    """
     properties: dict[str, Any] = {
-        "heater_duty": {"type": "number", "minimum": 0, "maximum": 1},
+        "heater_duty": {"type": "number", "enum": LEVELS},
         "fan_on": {"type": "boolean"},
         "rationale": {"type": "string"},
     }
-    if with_simulation:
-        properties["simulation"] = {"type": "string"}
+    if simulations is not None:
+        properties["simulation"] = {"type": "string"} | ({"enum": list(simulations)} if simulations else {})
     return Schema(
         "controls",
         {

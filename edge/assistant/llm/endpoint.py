@@ -106,15 +106,17 @@ class Endpoint:
         schema: Schema | None = None,
         deadline_s: float = math.inf,
         stop: Interrupt | None = None,
+        call_first: bool = False,
     ) -> Reply:
         """One exchange.
 
         deadline_s : for all of it, retries and their pauses among it
         stop : ends it at once when fired
+        call_first : where the prompt carries the tools, the form admits a call alone
         Errors : LlmFailure
         """
         settings, stop = self.settings, stop or Interrupt()
-        chat = Chat(settings.model, messages, settings.answer_tokens, tools, temperature, schema)
+        chat = Chat(settings.model, messages, settings.answer_tokens, tools, temperature, schema, call_first)
         end_s, tries = self.now() + deadline_s, 0
         while True:
             try:

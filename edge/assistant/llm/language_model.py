@@ -3,7 +3,8 @@
 import queue
 import ssl
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -73,7 +74,11 @@ class Question(Generic[T]):
 
 @dataclass(slots=True)
 class LanguageModel:
-    """Endpoint, budget, the history it may read, and what is to be told of it."""
+    """Endpoint, budget, the history it may read, and what is to be told of it.
+
+    counted : since its making, of the questions of controllers: their ends ("answered" or a kind of failure),
+        and the sums of `Conversation.counts`
+    """
 
     settings: LlmSettings
     endpoint: Endpoint
@@ -81,7 +86,14 @@ class LanguageModel:
     history: Path
     utc: Callable[[], float]
     _events: "queue.SimpleQueue[Event]" = field(default_factory=queue.SimpleQueue)
+    counted: Counter[str] = field(default_factory=Counter)
     _questions: list[Question[Any]] = field(default_factory=list)
+    _counting: threading.Lock = field(default_factory=threading.Lock)
+
+    def count(self, counts: Mapping[str, int]) -> None:
+        """Add to `counted`; from any thread."""
+        with self._counting:
+            self.counted.update(counts)
 
     def tell(self, event: Event) -> None:
         """Into the next record; from any thread."""
@@ -95,6 +107,11 @@ class LanguageModel:
         """See to the end of a question at `close`."""
         self._questions = [each for each in self._questions if not each.wait(0.0)]
         self._questions.append(question)
+
+    def wait(self, seconds: float) -> None:
+        """Wait for what is under way, each question at most so long."""
+        for question in self._questions:
+            question.wait(seconds)
 
     def close(self) -> None:
         """Drop what is under way."""

@@ -1,7 +1,7 @@
 """Tools for servers that do not speak of them: the prompt describes them, and a call is an answer in JSON."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -24,13 +24,15 @@ def without_native_tools(chat: Chat) -> Chat:
     described = "\n".join([_HEAD, *map(_describe, chat.tools)])
     if messages and messages[0]["role"] == "system":
         described = f"{messages.pop(0)['content']}\n\n{described}"
-    schema = None if chat.schema is None else _with_calls(chat.schema, chat.tools)
+    schema = _with_calls(chat)
     messages.insert(0, {"role": "system", "content": described})
     return replace(chat, messages=messages, tools=(), schema=schema)
 
 
-def _with_calls(schema: Schema, tools: Sequence[ToolSpec]) -> Schema:
-    """Return the schema of an answer or a call of a tool."""
+def _with_calls(chat: Chat) -> Schema | None:
+    """Return the schema of a call of a tool, and of the answer unless a call comes first."""
+    if chat.schema is None:
+        return None
     calls = [
         {
             "type": "object",
@@ -38,9 +40,10 @@ def _with_calls(schema: Schema, tools: Sequence[ToolSpec]) -> Schema:
             "required": [TOOL, ARGUMENTS],
             "additionalProperties": False,
         }
-        for tool in tools
+        for tool in chat.tools
     ]
-    return Schema(schema.name, {"anyOf": [*calls, dict(schema.schema)]})
+    forms = calls if chat.call_first else [*calls, dict(chat.schema.schema)]
+    return Schema(chat.schema.name, forms[0] if len(forms) == 1 else {"anyOf": forms})
 
 
 def read_call(reply: Reply) -> Reply:

@@ -1,6 +1,6 @@
 """One question of a controller, from prompt through tool calls to a checked proposal, in any architecture."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,7 @@ from edge.assistant.llm.language_model import LanguageModel
 from edge.assistant.llm.ledger import AnsweredCall, Ledger, Tool, ToolError, data_block
 from edge.assistant.llm.line import Interrupt
 from edge.assistant.llm.prompts import question, system_prompt
+from edge.assistant.llm.simulate_tool import NAME as SIMULATE
 from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
 from edge.assistant.llm.sql_tool import SqlTool
 from edge.assistant.llm.wire import Message, Reply, Schema, ToolCall, Usage, assistant_message, tool_message
@@ -23,6 +24,7 @@ from edge.core.predictor import Predictor
 from edge.formats.reader import DocumentError, parse_json
 
 CALLS_MAX = 8  # in one reply
+TRIES_MAX = 2  # of a first call, before an answer without one is let through
 
 
 @dataclass(slots=True)
@@ -33,7 +35,7 @@ class Conversation:
     messages: list[Message]
     tools: Sequence[Tool] = ()
     temperature: float = 0.0
-    schema: Schema | None = None
+    form: Callable[[Ledger], Schema | None] = lambda ledger: None  # of the answer, after the calls so far
     ledger: Ledger = field(default_factory=Ledger)
     exchanges: int = 0
     waited_s: float = 0.0  # for the endpoint, its retries among it
@@ -58,16 +60,31 @@ class Conversation:
                 self.messages.append(tool_message(call, said))
         raise LlmFailure("too_many_exchanges", f"no answer after {most}")
 
+    def counts(self) -> dict[str, int]:
+        """Return the sums so far: exchanges, tokens sent and received, calls answered and refused."""
+        return {
+            "exchanges": self.exchanges,
+            "sent": self.usage.sent,
+            "received": self.usage.received,
+            "calls": len(self.ledger.entries),
+            "calls_refused": self.ledger.errors,
+        }
+
     def _exchange(self, deadline_s: float, stop: Interrupt) -> Reply:
         self.exchanges += 1
         # At the last one nothing is offered any more: what it knows by now must do.
         last = self.exchanges == self.endpoint.settings.exchanges
         specs = [] if last else [tool.spec for tool in self.tools]
         begun_s = self.endpoint.now()
-        reply = self.endpoint.chat(self.messages, specs, self.temperature, self.schema, deadline_s, stop)
+        schema, first = self.form(self.ledger), self._must_call()
+        reply = self.endpoint.chat(self.messages, specs, self.temperature, schema, deadline_s, stop, first)
         self.waited_s += self.endpoint.now() - begun_s
         self.usage += reply.usage
         return reply
+
+    def _must_call(self) -> bool:
+        """Return whether a tool comes before the answer: none has answered yet, and few calls failed."""
+        return not self.ledger.entries and self.ledger.errors < TRIES_MAX
 
     def _answer(self, call: ToolCall) -> str:
         """Return the reply to the model's tool call."""
@@ -142,11 +159,18 @@ class Architecture:
             ],
             tools=self._tools(model, context, simulator),
             temperature=self.variant.temperature,
-            schema=answer_schema(simulator is not None),
+            form=lambda ledger: answer_schema(None if simulator is None else ledger.ids(SIMULATE)),
         )
-        content = conversation.run(model.settings.answer_age_max_s, stop)
-        answer = read_answer(content, simulator is not None)
-        forecast = () if simulator is None else cited_forecast(answer, conversation.ledger, simulator)
+        end = "answered"
+        try:
+            content = conversation.run(model.settings.answer_age_max_s, stop)
+            answer = read_answer(content, simulator is not None)
+            forecast = () if simulator is None else cited_forecast(answer, conversation.ledger, simulator)
+        except LlmFailure as failure:
+            end = failure.kind
+            raise
+        finally:
+            model.count(conversation.counts() | {end: 1})
         claims = check_claims(answer.rationale, KnownFacts(context, conversation.ledger, answer.command))
         why = self._why(answer, conversation, model) | {"claims": [claim.to_json() for claim in claims]}
         return ModelProposal(
@@ -192,7 +216,7 @@ def _in_short(ledger: Ledger) -> list[dict[str, Any]]:
     """Return the calls in short for a history with a row a minute: the
     arguments, and one number of the result.
     """
-    return [_simulation(entry) if entry.tool == "simulate" else _query(entry) for entry in ledger.entries]
+    return [_simulation(entry) if entry.tool == SIMULATE else _query(entry) for entry in ledger.entries]
 
 
 def _simulation(entry: AnsweredCall) -> dict[str, Any]:

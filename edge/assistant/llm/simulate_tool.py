@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from edge.assistant.llm.answer import ModelAnswer, nearest_level
+from edge.assistant.llm.answer import LEVELS, ModelAnswer, nearest_level
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.ledger import Ledger, ToolError
 from edge.assistant.llm.wire import ToolSpec
@@ -15,11 +15,12 @@ from edge.controllers.rollout_search import ahead_with_offset, forecast
 from edge.core.controller import Context, Floats
 from edge.core.errors import DataError
 from edge.core.predictor import Predictor
-from edge.formats.cross_check import CheckedDocument, Rule
+from edge.formats.cross_check import Rule
 from edge.formats.reader import DocumentError, read
 
 NAME = "simulate"
-SAME_K = 1e-6  # two rollouts of one predictor under the same inputs differ by no more
+DIGITS = 2  # of a temperature that is told: more are no knowledge, and cost tokens
+SAME_K = 0.51 * 10.0**-DIGITS  # two rollouts of one predictor under the same inputs differ by no more
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +47,19 @@ class Simulator:
 
 
 @dataclass(frozen=True, slots=True)
-class SimulateArguments(CheckedDocument):
-    """Arguments of a call, one value per step."""
+class SimulateArguments:
+    """Arguments of a call, one value per step; a list that is shorter holds its last value."""
 
     heater_duty: Annotated[tuple[Annotated[float, Rule(low=0.0, high=1.0)], ...], Rule(least=1)]
-    fan_on: tuple[bool, ...]
+    fan_on: Annotated[tuple[bool, ...], Rule(least=1)]
 
-    def cross_check(self) -> None:
-        """Refuse lists of unequal length."""
-        if len(self.heater_duty) != len(self.fan_on):
-            self.refuse("fan_on", f"{len(self.fan_on)} steps, heater_duty has {len(self.heater_duty)}")
+    def controls(self) -> list[tuple[float, bool]]:
+        """Return duty and fan of each step."""
+        duty, fan = self.heater_duty, self.fan_on
+        return [
+            (duty[min(step, len(duty) - 1)], fan[min(step, len(fan) - 1)])
+            for step in range(max(len(duty), len(fan)))
+        ]
 
 
 class SimulateTool:
@@ -71,12 +75,12 @@ class SimulateTool:
             NAME,
             f"Predicts the air temperature after each of the next steps of {step_s:g} s when these controls "
             f"are applied, with the model {simulator.predictor.name}. Both lists have one value per step, "
-            f"1 to {steps}, the first for the step that begins now. Call it once for each set of controls "
-            "that you consider.",
+            f"1 to {steps}, the first for the step that begins now; a shorter list holds its last value. "
+            "Call it once for each set of controls that you consider.",
             {
                 "type": "object",
                 "properties": {
-                    "heater_duty": {**numbers, "items": {"type": "number", "minimum": 0, "maximum": 1}},
+                    "heater_duty": {**numbers, "items": {"type": "number", "enum": LEVELS}},
                     "fan_on": {**numbers, "items": {"type": "boolean"}},
                 },
                 "required": ["heater_duty", "fan_on"],
@@ -95,7 +99,7 @@ class SimulateTool:
         return {
             "heater_duty": controls[:, 0].tolist(),
             "fan_on": [bool(value) for value in controls[:, 1]],
-            "temp_air_c": [round(value, 6) for value in temps.tolist()],
+            "temp_air_c": [round(value, DIGITS) for value in temps.tolist()],
             "target_c": self._targets[: len(temps)].tolist(),
             "mean_abs_error_k": round(float(errors.mean()), 4),
         }
@@ -105,10 +109,10 @@ class SimulateTool:
             asked = read(SimulateArguments, arguments)
         except DocumentError as error:
             raise ToolError(str(error)) from None
-        if len(asked.heater_duty) > self._simulator.horizon:
-            raise ToolError(f"heater_duty: must hold at most {self._simulator.horizon} values")
-        pairs = zip(asked.heater_duty, asked.fan_on, strict=True)
-        return np.array([[nearest_level(duty), float(fan)] for duty, fan in pairs])
+        controls = asked.controls()
+        if len(controls) > self._simulator.horizon:
+            raise ToolError(f"heater_duty, fan_on: must hold at most {self._simulator.horizon} values")
+        return np.array([[nearest_level(duty), float(fan)] for duty, fan in controls])
 
 
 def cited_forecast(answer: ModelAnswer, ledger: Ledger, simulator: Simulator) -> tuple[float, ...]:

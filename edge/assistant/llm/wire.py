@@ -19,6 +19,8 @@ Message = Mapping[str, Any]
 TOKENS_MAX = 10**9  # what a server says beyond this is no count
 Count = Annotated[int, Rule(low=0, high=TOKENS_MAX)]
 CHARACTERS_PER_TOKEN = 4  # of English text, by the vendors' rule of thumb
+# Line ends inside a string are no JSON, but grammars of servers let models write them.
+_ON_ONE_LINE = {code: " " for code in range(0x20)}
 _FENCED = re.compile(r"\s*```(?:json)?\s*\n(?P<json>.*?)\n?\s*```\s*", re.DOTALL)
 
 
@@ -82,6 +84,7 @@ class Chat:
     tools: Sequence[ToolSpec] = ()
     temperature: float = 0.0
     schema: Schema | None = None
+    call_first: bool = False
 
     def uses(self, dialect: Dialect) -> frozenset[str]:
         """Return the parts of a request that a server may refuse."""
@@ -215,8 +218,9 @@ def read_object(content: str | None) -> Mapping[str, Any]:
     if content is None or not content.strip():
         raise LlmFailure("malformed", "the answer is empty")
     fenced = _FENCED.fullmatch(content)
+    text = fenced["json"] if fenced else content
     try:
-        return parse_json(fenced["json"] if fenced else content, "the answer")
+        return parse_json(text.translate(_ON_ONE_LINE), "the answer")
     except DocumentError as error:
         raise LlmFailure("malformed", str(error)) from None
 

@@ -86,11 +86,23 @@ def test_a_simulation_is_cited_where_there_are_any() -> None:
 
 def test_the_schema_asks_for_what_is_read() -> None:
     for with_simulation in (False, True):
-        schema = answer_schema(with_simulation).schema
+        schema = answer_schema([] if with_simulation else None).schema
         assert schema["required"] == list(schema["properties"])
         values = {**GOOD, **({"simulation": "simulate-1"} if with_simulation else {})}
         assert values.keys() == schema["properties"].keys()
         read_answer(json.dumps(values), with_simulation)
+
+
+def test_the_schema_names_every_level_and_the_simulations_that_there_are() -> None:
+    properties = answer_schema(["simulate-1", "simulate-2"]).schema["properties"]
+    levels = properties["heater_duty"]["enum"]
+    assert len(levels) == 21 and all(nearest_level(level) == level for level in levels)
+    assert properties["simulation"]["enum"] == ["simulate-1", "simulate-2"]
+
+
+def test_line_ends_inside_a_text_are_spaces() -> None:
+    answer = read_answer('{"heater_duty": 0.45,\n"fan_on": false, "rationale": "warm\nand\tdry\x00"}', False)
+    assert answer.rationale == "warm and dry"
 
 
 @given(

@@ -196,6 +196,16 @@ def test_where_tools_are_not_spoken_natively_the_prompt_carries_them(
     assert answer_form == SCHEMA.schema
 
 
+def test_the_form_admits_a_call_alone_where_a_call_comes_first(tmp_path: Path) -> None:
+    line = ScriptedLine(error(400, "no tools"), says(CALL), says("{}"))
+    with endpoint(tmp_path, line) as made:
+        made.chat(HELLO, [TOOL], schema=SCHEMA, call_first=True)
+        made.chat(HELLO, [TOOL], schema=SCHEMA)
+    first, then = (body["response_format"]["json_schema"]["schema"] for body in line.bodies[1:])
+    assert first["properties"]["tool"] == {"const": "look"}
+    assert first in then["anyOf"]
+
+
 def test_a_server_with_tools_that_answers_in_words_is_asked_again_in_the_form(tmp_path: Path) -> None:
     line = ScriptedLine(calls("look", "{}"), says("Heat a little."), says("{}"))
     with endpoint(tmp_path, line) as made:

@@ -97,6 +97,19 @@ def test_controls_without_a_simulation_behind_them_are_refused(
     assert kind_of(tmp_path, "LLM-Linear-Te0-P", *answers) == kind
 
 
+def test_what_became_of_questions_is_counted(tmp_path: Path) -> None:
+    cited = says_controls(simulation="simulate-1")
+    with language_model(tmp_path, ScriptedLine(SIMULATE, cited, says("{"))) as model:
+        architecture = Architecture(LLM["LLM-Linear-Te0"], ARX, True, 10, False)
+        here = context(temp=24.0, reference=26.0)
+        architecture.propose(model, here, Interrupt())
+        with pytest.raises(LlmFailure, match="malformed"):
+            architecture.propose(model, here, Interrupt())
+        counted = model.counted
+    assert (counted["answered"], counted["malformed"], counted["calls"]) == (1, 1, 1)
+    assert counted["exchanges"] >= 3 and counted["sent"] >= 300
+
+
 def test_the_simple_architecture_cites_nothing(tmp_path: Path) -> None:
     assert kind_of(tmp_path, "LLM-Te0", says_controls(simulation="simulate-1")) == "wrong_schema"
 

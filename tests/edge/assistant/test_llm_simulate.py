@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from edge.assistant.llm.answer import ModelAnswer
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.ledger import Ledger, ToolError
-from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
+from edge.assistant.llm.simulate_tool import SAME_K, SimulateTool, Simulator, cited_forecast
 from edge.controllers.mpc import pad
 from edge.core.messages import Command
 from edge.forecasts.scorer import ahead_of
@@ -58,7 +58,7 @@ def test_a_simulation_is_the_predictors_rollout() -> None:
     controls = np.array([[[0.5, 0.0], [0.5, 1.0], [0.0, 0.0]]])
     ahead = ahead_of(here.history, 3, here.step_s) | {"offset": np.zeros(3)}
     expected = ARX.rollout(pad(here.history, ARX.rows_needed), controls, ahead)[0]
-    np.testing.assert_allclose(found["temp_air_c"], expected, atol=1e-6)
+    np.testing.assert_allclose(found["temp_air_c"], expected, atol=SAME_K)
     assert found["mean_abs_error_k"] == pytest.approx(np.abs(expected - 26.0).mean(), abs=1e-4)
     assert found["target_c"] == [26.0] * 3
 
@@ -83,9 +83,20 @@ def test_a_duty_between_levels_is_simulated_as_the_board_takes_it() -> None:
 
 
 @pytest.mark.parametrize(
+    ("duties", "fans", "same"),
+    [
+        ([0.5], [False, True, True], ([0.5] * 3, [False, True, True])),
+        ([0.5, 0.2, 0.0], [True], ([0.5, 0.2, 0.0], [True] * 3)),
+    ],
+)
+def test_a_shorter_list_holds_its_last_value(duties: Any, fans: Any, same: tuple[Any, Any]) -> None:
+    assert asked(duties, fans) == asked(*same)
+
+
+@pytest.mark.parametrize(
     ("duties", "fans"),
     [
-        *(([], []), ([0.5], []), ([0.5] * 11, [False] * 11), ([0.5, 0.5], [False]), (0.5, False)),
+        *(([], []), ([0.5], []), ([0.5] * 11, [False] * 11), ([0.5], [False] * 11), (0.5, False)),
         *(([1.01], [False]), ([-0.01], [False]), ([0.5], [1])),
     ],
 )
@@ -110,7 +121,7 @@ def test_a_predictor_that_fails_is_told_of() -> None:
 def test_a_cited_simulation_that_begins_with_the_chosen_controls_is_the_forecast() -> None:
     calls = ledger(([0.2, 0.2], [False, False]), ([0.5, 0.1], [True, False]))
     forecast = cited_forecast(answer(0.5, True, "simulate-2"), calls, simulator())
-    np.testing.assert_allclose(forecast, calls.entries[1].result["temp_air_c"], atol=1e-6)
+    np.testing.assert_allclose(forecast, calls.entries[1].result["temp_air_c"], atol=SAME_K)
 
 
 @pytest.mark.parametrize("cites", ["", "simulate-2", "simulate-0", "sql-1", "call_1", "SIMULATE-1"])
@@ -131,7 +142,7 @@ def test_controls_other_than_the_simulated_ones_are_unfaithful(duty: float, fan:
     assert kind_of(answer(duty, fan), ledger(([0.5], [False]))) == "unfaithful"
 
 
-@pytest.mark.parametrize("wrong", [1e-4, float("nan")])
+@pytest.mark.parametrize("wrong", [2 * SAME_K, float("nan")])
 def test_a_result_that_does_not_come_out_again_is_unfaithful(wrong: float) -> None:
     calls = ledger(([0.5], [False]))
     calls.entries[0].result["temp_air_c"][0] += wrong

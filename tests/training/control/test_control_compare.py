@@ -26,7 +26,6 @@ from training.control.comparison import (
     read_times,
     regret,
     results_of,
-    table,
     times_beside,
     times_json,
 )
@@ -37,8 +36,8 @@ from training.llm_stand_in import MODEL as STAND_IN
 ZERO = Figures(*[0.0] * 16)
 
 
-def made(entry: str, seed: int, remark: str = "", **figures: float) -> RunResult:
-    return RunResult(entry, "reference_1", seed, replace(ZERO, **figures), remark)
+def made(entry: str, seed: int, model: str = "", **figures: float) -> RunResult:
+    return RunResult(entry, "reference_1", seed, replace(ZERO, **figures), model)
 
 
 RESULTS = [
@@ -113,10 +112,36 @@ def test_a_limit_among_equals_leaves_out_the_runs_that_do_more_with_the_coming_r
     )
 
 
-def test_a_stand_in_is_called_one_in_the_table():
-    rows = {row[0]: row for row in table(RESULTS, ["MPC-Twin", "LLM-Te0"], "reference_1").rows}
-    assert rows["LLM-Te0"][-1] == STAND_IN
-    assert rows["MPC-Twin"][-1] == ""
+SMALL, LARGE = "Small, 1 M parameters, Q4_1", "Large-P, 9 M parameters, Q8_0"
+MODELS = [
+    *RESULTS,
+    made("LLM-Te0", 1, SMALL, mae_true=1.1, sensor_cost_0=500.0),
+    made("LLM-Te0", 1, LARGE, mae_true=0.9, sensor_cost_0=400.0),
+]
+
+
+def test_each_language_model_has_a_row_that_names_it_and_a_script_has_none():
+    text = text_of(MODELS, ["clairvoyant/sensor", "MPC-Twin", "LLM-Te0"])
+    ranked, scripted = text.split(f"reference_1: {STAND_IN}")
+    rows = [line.split("  ")[0] for line in ranked.splitlines() if line.startswith("LLM")]
+    assert rows == [f"LLM-Te0 by {LARGE}", f"LLM-Te0 by {SMALL}"]
+    assert [line.split("  ")[0] for line in scripted.splitlines() if line.startswith("LLM")] == [
+        f"LLM-Te0 by {STAND_IN}"
+    ]
+    assert "MPC-Twin" not in scripted
+
+
+def test_a_models_name_says_nothing_of_its_rows_weight_and_knowledge():
+    row = f"LLM-Te0 by {LARGE}"
+    assert regret(MODELS, row, "reference_1", by_sensor=True).value == pytest.approx(4.0)
+    assert knowledge(row) == "present reference"
+
+
+def test_a_models_run_is_kept_beside_another_models():
+    now = [made("LLM-Te0", 1, SMALL, mae_true=2.0)]
+    both = beside(MODELS, now, ["LLM-Te0"])
+    found = {one.model: one.figures.mae_true for one in both if one.seed == 1}
+    assert found == {STAND_IN: 1.4, SMALL: 2.0, LARGE: 0.9}
 
 
 def test_figures_come_back_with_all_their_digits():
@@ -127,7 +152,7 @@ def test_figures_come_back_with_all_their_digits():
 def test_an_unknown_controller_is_refused_by_name(tmp_path):
     arguments = argparse.Namespace(
         controllers=["MPC-Twn"], references=["reference_1"], seeds=[1], runs=tmp_path, kept=True,
-        llm_url="", llm_model="stand-in",
+        llm_url="", llm_model="stand-in", llm_exchanges=8, llm_answer_tokens=800,
     )  # fmt: skip
     with pytest.raises(DataError, match="MPC-Twn"):
         run(arguments)
@@ -146,7 +171,8 @@ def test_figures_that_are_not_there_are_told_before_anything_is_run(tmp_path, mo
 
 
 def endpoint(**given: object) -> argparse.Namespace:
-    return argparse.Namespace(**{"kept": False, "llm_url": "", "llm_model": "stand-in", **given})
+    usual = {"kept": False, "llm_url": "", "llm_model": "stand-in"}
+    return argparse.Namespace(**(usual | {"llm_exchanges": 4, "llm_answer_tokens": 300} | given))
 
 
 def test_language_models_ask_a_stand_in_where_no_server_is_given():
@@ -154,7 +180,7 @@ def test_language_models_ask_a_stand_in_where_no_server_is_given():
         assert requests.get(f"{llm.url}/models", timeout=5.0).status_code == 200
     assert llm.model == "stand-in"
     with _endpoint(endpoint(llm_url="http://there/v1", llm_model="small")) as llm:
-        assert (llm.url, llm.model) == ("http://there/v1", "small")
+        assert (llm.url, llm.model, llm.exchanges, llm.answer_tokens) == ("http://there/v1", "small", 4, 300)
 
 
 def test_a_model_without_its_server_is_refused():
@@ -193,7 +219,7 @@ def test_a_controller_done_anew_leaves_the_others_as_they_are_kept():
     both = beside(RESULTS, now, names)
     assert len(both) == len(RESULTS) + 1
     assert column(both, "MPC-Twin", "reference_1", "mae_true") == [0.2, 0.1]
-    assert column(both, "LLM-Te0", "reference_1", "mae_true") == [1.4, 1.4, 1.0]
+    assert column(both, f"LLM-Te0 by {STAND_IN}", "reference_1", "mae_true") == [1.4, 1.4, 1.0]
     assert [one.entry for one in both[:4]] == names  # seed by seed, as they would be done
 
 
@@ -251,7 +277,7 @@ def test_ours_stands_beside_the_best_plan_with_a_fan_of_whole_steps():
     costs = dict(zip(names, (80.0, 100.0), strict=True))
     found = [made(name, seed, sensor_cost_1=cost) for seed in (1, 2) for name, cost in costs.items()]
     shown = parts_table([*found, made("MPC-Twin-P", 3, sensor_cost_1=500.0)], names, "reference_1")
-    assert shown is not None and shown.rows == ((*names, "2", "0.80", ""),)
+    assert shown is not None and shown.rows == ((*names, "2", "0.80"),)
     assert parts_table(RESULTS, list(entries()), "reference_1") is None
 
 
