@@ -62,14 +62,18 @@ def read_prompt(messages: Sequence[Message]) -> QuestionNumbers | None:
 
 
 def results(messages: Sequence[Message]) -> list[dict[str, Any]]:
-    """Return the data blocks of all tool messages, oldest first: {"id", "result"}, or {"error"}."""
-    blocks = [
-        match[2]
+    """Return the data blocks of all tool messages: {"id", "result", "arguments"}, or {"error"}."""
+    asked = {
+        call["id"]: call["function"]["arguments"]
+        for message in messages
+        for call in message.get("tool_calls") or ()
+    }
+    return [
+        json.loads(match[2]) | {"arguments": json.loads(asked[message["tool_call_id"]])}
         for message in messages
         if message.get("role") == "tool"
         for match in _BLOCK.finditer(str(message.get("content")))
     ]
-    return [json.loads(block) for block in blocks]
 
 
 def _find(pattern: str, text: str) -> str | None:
@@ -186,7 +190,7 @@ def _next_set(asked: QuestionNumbers, simulated: Sequence[Mapping[str, Any]]) ->
     """
     if _is_near(simulated):
         return None
-    tried = [(each["result"]["heater_duty"][0], _mean_error(each)) for each in simulated]
+    tried = [(each["arguments"]["heater_duty"][0], _mean_error(each, asked.target)) for each in simulated]
     fan = asked.fan_held and asked.fan_on
     if not tried:
         duty = COMMON_SENSE.duty(asked.target, asked.current, asked.ambient)
@@ -198,7 +202,8 @@ def _next_set(asked: QuestionNumbers, simulated: Sequence[Mapping[str, Any]]) ->
         duty = _secant(tried[-2], tried[-1])
     level = _level(duty, asked, 0)
     if any(
-        (each["result"]["heater_duty"][0], each["result"]["fan_on"][0]) == (level, fan) for each in simulated
+        (each["arguments"]["heater_duty"][0], each["arguments"]["fan_on"][0]) == (level, fan)
+        for each in simulated
     ):
         return None
     return {"heater_duty": [level] * asked.steps, "fan_on": [fan] * asked.steps}
@@ -215,20 +220,19 @@ def _best(asked: QuestionNumbers, simulated: Sequence[Mapping[str, Any]], jitter
     """Return the set with the least error, and effort where it costs; a warmer model takes the second."""
 
     def price(each: Mapping[str, Any]) -> float:
-        result = each["result"]
-        effort = result["heater_duty"][0] + 2.0 * result["fan_on"][0]
-        return float(result["mean_abs_error_k"]) + (EFFORT_K * effort if asked.spare else 0.0)
+        controls = each["arguments"]
+        effort = controls["heater_duty"][0] + 2.0 * controls["fan_on"][0]
+        return float(each["result"]["mean_abs_error_k"]) + (EFFORT_K * effort if asked.spare else 0.0)
 
     best = sorted(simulated, key=price)[min(abs(jitter), len(simulated) - 1)]
-    result = best["result"]
-    rationale = f"The simulation {best['id']} shows {result['temp_air_c'][-1]:.2f} degC at its end."
-    return answers(result["heater_duty"][0], result["fan_on"][0], rationale, best["id"])
+    controls, ends_c = best["arguments"], best["result"]["temp_air_c"][-1]
+    rationale = f"The simulation {best['id']} shows {ends_c:.2f} degC at its end."
+    return answers(controls["heater_duty"][0], controls["fan_on"][0], rationale, best["id"])
 
 
-def _mean_error(simulated: Mapping[str, Any]) -> float:
-    result = simulated["result"]
-    pairs = zip(result["temp_air_c"], result["target_c"], strict=True)
-    return float(sum(temp - target for temp, target in pairs) / len(result["temp_air_c"]))
+def _mean_error(simulated: Mapping[str, Any], target: float) -> float:
+    temps = simulated["result"]["temp_air_c"]
+    return float(sum(temp - target for temp in temps) / len(temps))
 
 
 def _is_near(simulated: Sequence[Mapping[str, Any]]) -> bool:

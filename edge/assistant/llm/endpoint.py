@@ -18,6 +18,7 @@ from edge.assistant.llm.wire import (
     Reply,
     Schema,
     ToolSpec,
+    Turn,
     Usage,
     estimated_tokens,
     read_document,
@@ -106,17 +107,18 @@ class Endpoint:
         schema: Schema | None = None,
         deadline_s: float = math.inf,
         stop: Interrupt | None = None,
-        call_first: bool = False,
+        turn: Turn = Turn.EITHER,
     ) -> Reply:
         """One exchange.
 
         deadline_s : for all of it, retries and their pauses among it
         stop : ends it at once when fired
-        call_first : where the prompt carries the tools, the form admits a call alone
+        turn : where the prompt carries the tools, the form admits this alone; natively spoken tools are not
+            offered when the answer is due
         Errors : LlmFailure
         """
         settings, stop = self.settings, stop or Interrupt()
-        chat = Chat(settings.model, messages, settings.answer_tokens, tools, temperature, schema, call_first)
+        chat = Chat(settings.model, messages, settings.answer_tokens, tools, temperature, schema, turn)
         end_s, tries = self.now() + deadline_s, 0
         while True:
             try:
@@ -134,6 +136,8 @@ class Endpoint:
 
     def _exchange(self, chat: Chat, end_s: float, stop: Interrupt) -> Reply:
         """Ask once, and once more where tools were offered and neither a call nor an object came back."""
+        if chat.turn is Turn.ANSWER and self._dialect.native_tools:
+            chat = replace(chat, tools=())
         if not (chat.tools and self._dialect.native_tools and chat.schema is not None):
             return self._ask(chat, self._dialect, end_s, stop)
         try:

@@ -39,6 +39,10 @@ class Tool(Protocol):
         """Return the result, JSON values only. Errors: ToolError"""
         ...
 
+    def told(self, result: Any) -> Any:
+        """Return the part of a result that the model is told: what it does not know yet."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class AnsweredCall:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from edge.assistant.llm.failure import LlmFailure
-from edge.assistant.llm.wire import Chat, Message, Reply, Schema, ToolCall, ToolSpec, read_object
+from edge.assistant.llm.wire import Chat, Message, Reply, Schema, ToolCall, ToolSpec, Turn, read_object
 
 TOOL, ARGUMENTS = "tool", "arguments"
 _HEAD = (
@@ -30,9 +30,9 @@ def without_native_tools(chat: Chat) -> Chat:
 
 
 def _with_calls(chat: Chat) -> Schema | None:
-    """Return the schema of a call of a tool, and of the answer unless a call comes first."""
-    if chat.schema is None:
-        return None
+    """Return the schema of a call of a tool, of the answer, or of either, as it is asked for."""
+    if chat.schema is None or chat.turn is Turn.ANSWER:
+        return chat.schema
     calls = [
         {
             "type": "object",
@@ -42,7 +42,7 @@ def _with_calls(chat: Chat) -> Schema | None:
         }
         for tool in chat.tools
     ]
-    forms = calls if chat.call_first else [*calls, dict(chat.schema.schema)]
+    forms = calls if chat.turn is Turn.CALL else [*calls, dict(chat.schema.schema)]
     return Schema(chat.schema.name, forms[0] if len(forms) == 1 else {"anyOf": forms})
 
 

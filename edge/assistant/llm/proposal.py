@@ -15,7 +15,16 @@ from edge.assistant.llm.prompts import question, system_prompt
 from edge.assistant.llm.simulate_tool import NAME as SIMULATE
 from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
 from edge.assistant.llm.sql_tool import SqlTool
-from edge.assistant.llm.wire import Message, Reply, Schema, ToolCall, Usage, assistant_message, tool_message
+from edge.assistant.llm.wire import (
+    Message,
+    Reply,
+    Schema,
+    ToolCall,
+    Turn,
+    Usage,
+    assistant_message,
+    tool_message,
+)
 from edge.core.controller import Context, Floats, goal_ahead
 from edge.core.controller_names import LlmVariant
 from edge.core.messages import Command
@@ -41,6 +50,8 @@ class Conversation:
     waited_s: float = 0.0  # for the endpoint, its retries among it
     usage: Usage = field(default_factory=Usage)
     _mistakes: set[str] = field(default_factory=set)  # kinds that the model was told of once
+    _calls: set[tuple[str, str]] = field(default_factory=set)  # names and arguments
+    _repeated: bool = False  # one of them came again
 
     def run(self, deadline_s: float, stop: Interrupt) -> str | None:
         """Return the text of the model's last message.
@@ -72,22 +83,25 @@ class Conversation:
 
     def _exchange(self, deadline_s: float, stop: Interrupt) -> Reply:
         self.exchanges += 1
-        # At the last one nothing is offered any more: what it knows by now must do.
-        last = self.exchanges == self.endpoint.settings.exchanges
-        specs = [] if last else [tool.spec for tool in self.tools]
+        specs = [tool.spec for tool in self.tools]
         begun_s = self.endpoint.now()
-        schema, first = self.form(self.ledger), self._must_call()
-        reply = self.endpoint.chat(self.messages, specs, self.temperature, schema, deadline_s, stop, first)
+        schema, turn = self.form(self.ledger), self._turn()
+        reply = self.endpoint.chat(self.messages, specs, self.temperature, schema, deadline_s, stop, turn)
         self.waited_s += self.endpoint.now() - begun_s
         self.usage += reply.usage
         return reply
 
-    def _must_call(self) -> bool:
-        """Return whether a tool comes before the answer: none has answered yet, and few calls failed."""
-        return not self.ledger.entries and self.ledger.errors < TRIES_MAX
+    def _turn(self) -> Turn:
+        """Return what is due: first a call; at the end, or after the same call again, the answer."""
+        if self._repeated or self.exchanges == self.endpoint.settings.exchanges:
+            return Turn.ANSWER
+        first = not self.ledger.entries and self.ledger.errors < TRIES_MAX
+        return Turn.CALL if first else Turn.EITHER
 
     def _answer(self, call: ToolCall) -> str:
         """Return the reply to the model's tool call."""
+        self._repeated |= (call.name, call.arguments) in self._calls
+        self._calls.add((call.name, call.arguments))
         tool = next((tool for tool in self.tools if tool.spec.name == call.name), None)
         if tool is None:
             self._mistake("unknown_tool", f"{plain(call.name, 40)!r}")
@@ -104,7 +118,7 @@ class Conversation:
             self.ledger.errors += 1
             return _error(str(error))
         entry = self.ledger.record(call.name, arguments, result)
-        return data_block(entry.id, {"id": entry.id, "result": result})
+        return data_block(entry.id, {"id": entry.id, "result": tool.told(result)})
 
     def _mistake(self, kind: str, text: str) -> None:
         """Errors: LlmFailure at the second one of its kind."""

@@ -104,6 +104,11 @@ class SimulateTool:
             "mean_abs_error_k": round(float(errors.mean()), 4),
         }
 
+    def told(self, result: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the temperatures and their error; the controls and a target that stays are known."""
+        target = {"target_c": result["target_c"]} if len(set(result["target_c"])) > 1 else {}
+        return {name: result[name] for name in ("temp_air_c", "mean_abs_error_k")} | target
+
     def _controls(self, arguments: Mapping[str, Any]) -> Floats:
         try:
             asked = read(SimulateArguments, arguments)

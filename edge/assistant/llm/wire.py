@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Annotated, Any
 
 from edge.assistant.llm.dialect import AnswerForm, Dialect
@@ -74,6 +75,14 @@ class Reply:
     usage: Usage
 
 
+class Turn(Enum):
+    """The kinds of reply that are asked for while tools are offered."""
+
+    EITHER = "a call of a tool or the answer"
+    CALL = "a call"
+    ANSWER = "the answer"
+
+
 @dataclass(frozen=True, slots=True)
 class Chat:
     """One request, apart from the server's dialect."""
@@ -84,7 +93,7 @@ class Chat:
     tools: Sequence[ToolSpec] = ()
     temperature: float = 0.0
     schema: Schema | None = None
-    call_first: bool = False
+    turn: Turn = Turn.EITHER
 
     def uses(self, dialect: Dialect) -> frozenset[str]:
         """Return the parts of a request that a server may refuse."""

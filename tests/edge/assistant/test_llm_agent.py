@@ -25,9 +25,12 @@ class Echoing:
     spec = ToolSpec("echo", "echoes", {"type": "object"})
 
     def call(self, arguments: Mapping[str, Any]) -> Any:
-        if not arguments:
+        if not arguments or "refuse" in arguments:
             raise ToolError("nothing to echo")
         return arguments
+
+    def told(self, result: Any) -> Any:
+        return result
 
 
 def conversation(
@@ -67,7 +70,9 @@ def test_a_call_is_answered_and_kept(tmp_path: Path) -> None:
     assert '{"id": "echo-1", "result": {"a": 1}}' in answer["content"]
 
 
-@pytest.mark.parametrize(("arguments", "free"), [([{"a": 1}], True), ([{}], False), ([{}, {}], True)])
+@pytest.mark.parametrize(
+    ("arguments", "free"), [([{"a": 1}], True), ([{}], False), ([{}, {"refuse": 1}], True)]
+)
 def test_a_call_comes_first_until_one_is_answered_or_two_have_failed(
     tmp_path: Path, arguments: list[dict[str, int]], free: bool
 ) -> None:
@@ -78,7 +83,7 @@ def test_a_call_comes_first_until_one_is_answered_or_two_have_failed(
     run(talk)
     form = line.bodies[-1]["response_format"]["json_schema"]["schema"]
     assert ("anyOf" in form) == free
-    assert talk.counts()["calls_refused"] == arguments.count({})
+    assert talk.counts()["calls_refused"] == len(arguments) - arguments.count({"a": 1})
 
 
 @pytest.mark.parametrize(
@@ -108,7 +113,7 @@ def test_what_a_tool_refuses_goes_back_as_often_as_it_likes(tmp_path: Path) -> N
 
 
 def test_endless_calls_end(tmp_path: Path) -> None:
-    talk, line = conversation(tmp_path, calls("echo", '{"a": 1}'), exchanges=4)
+    talk, line = conversation(tmp_path, *(calls("echo", f'{{"a": {k}}}') for k in range(4)), exchanges=4)
     assert failed(talk).kind == "too_many_exchanges"
     assert len(line.bodies) == 4
     assert ["tools" in body for body in line.bodies] == [True, True, True, False]  # the last must do without
@@ -149,3 +154,10 @@ def test_no_text_gets_out_of_its_block(text: str) -> None:
     assert (head, tail) == ('<data source="sql-1">', "</data>")
     assert "<" not in inner
     assert json.loads(inner) == {"rows": [[text]]}
+
+
+def test_the_same_call_again_is_answered_and_then_the_answer_is_due(tmp_path: Path) -> None:
+    again = calls("echo", '{"a": 1}')
+    talk, line = conversation(tmp_path, calls("echo", '{"a": 2}'), again, again, says("done"))
+    assert run(talk) == "done"
+    assert ["tools" in body for body in line.bodies] == [True, True, True, False]

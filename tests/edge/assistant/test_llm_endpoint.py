@@ -16,6 +16,7 @@ from edge.assistant.llm.line import HttpResponse, Interrupt
 from edge.assistant.llm.wire import (
     Schema,
     ToolSpec,
+    Turn,
     Usage,
     assistant_message,
     read_document,
@@ -196,14 +197,26 @@ def test_where_tools_are_not_spoken_natively_the_prompt_carries_them(
     assert answer_form == SCHEMA.schema
 
 
-def test_the_form_admits_a_call_alone_where_a_call_comes_first(tmp_path: Path) -> None:
-    line = ScriptedLine(error(400, "no tools"), says(CALL), says("{}"))
+def test_the_form_admits_a_call_the_answer_or_either_as_it_is_asked(tmp_path: Path) -> None:
+    line = ScriptedLine(error(400, "no tools"), says(CALL), says("{}"), says("{}"))
     with endpoint(tmp_path, line) as made:
-        made.chat(HELLO, [TOOL], schema=SCHEMA, call_first=True)
+        made.chat(HELLO, [TOOL], schema=SCHEMA, turn=Turn.CALL)
         made.chat(HELLO, [TOOL], schema=SCHEMA)
-    first, then = (body["response_format"]["json_schema"]["schema"] for body in line.bodies[1:])
+        made.chat(HELLO, [TOOL], schema=SCHEMA, turn=Turn.ANSWER)
+    first, then, last = (body["response_format"]["json_schema"]["schema"] for body in line.bodies[1:])
     assert first["properties"]["tool"] == {"const": "look"}
     assert first in then["anyOf"]
+    assert last == SCHEMA.schema
+    # The prompt begins as before: a server need not read it again.
+    assert line.bodies[3]["messages"] == line.bodies[2]["messages"]
+
+
+def test_natively_spoken_tools_are_not_offered_when_the_answer_is_due(tmp_path: Path) -> None:
+    line = ScriptedLine(calls("look", "{}"), says("{}"))
+    with endpoint(tmp_path, line) as made:
+        made.chat(HELLO, [TOOL], schema=SCHEMA)
+        made.chat(HELLO, [TOOL], schema=SCHEMA, turn=Turn.ANSWER)
+    assert ["tools" in body for body in line.bodies] == [True, False]
 
 
 def test_a_server_with_tools_that_answers_in_words_is_asked_again_in_the_form(tmp_path: Path) -> None:
