@@ -22,6 +22,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "why": "explain a command from the recorded decisions",
     "plot": "draw a stretch of the history, or a run file",
     "ask": "say it in words: a language model proposes, you confirm",
+    "memory": "what was decided and noted: list, add, edit, forget",
     "commission": "learn a new box by step tests, and control it",
     "experiment": "apply a profile and record a run",
     "export": "write a stretch of the history to a run file",
@@ -54,6 +55,7 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
         "confirm",
         "discard",
         "undo",
+        "memory",
     ),
     "Stop it": ("emergency-stop", "release", "maintenance", "clear-trip"),
     "Record and model your own greenhouse": (

@@ -19,6 +19,7 @@ from edge.app.request_routes import Commissioning, Routes, ShowState, outbox_of
 from edge.assistant.llm.language_model import LanguageModel, open_language_model
 from edge.assistant.requests.answer import settings_from
 from edge.assistant.requests.desk import DeskParts, WishDesk
+from edge.assistant.requests.memory import OperatorMemory
 from edge.board.board import Board
 from edge.board.serial_port import OpenPort, SerialPort
 from edge.bundle.keeper import BundleKeeper
@@ -41,7 +42,7 @@ from edge.sockets.external_proposals import ExternalProposals
 from edge.sockets.stop_file import StopFile
 from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, restore
 from edge.state.writer import DriftTurns, HourlySink, StandingSink, StateWriter
-from edge.storage import Session, Storage
+from edge.storage import FactBook, Session, Storage
 from edge.tick.calibration import formula
 from edge.tick.decider import decision_deadline_s
 from edge.tick.estimator import Estimator
@@ -140,7 +141,8 @@ class Daemon:
             standing = replace(standing, operation=replace(standing.operation, emergency_stop=True))
         inbox = Inbox()
         stack.callback(inbox.close)
-        desk = self._desk(inbox, models, llm)
+        memory = self._memory()
+        desk = self._desk(inbox, models, llm, memory)
         nightly = self._nightly(bundles)
         routes = Routes(settings, inbox, bundles, desk, self.commissioning, nightly)
         # First of all that is shared: where a daemon runs already nothing else is touched.
@@ -186,7 +188,10 @@ class Daemon:
             models=models,
             sinks=sinks,
             more_events=lambda: [
-                event for part in (storage, bundles, nightly, llm) if part for event in part.events_pending()
+                event
+                for part in (storage, bundles, nightly, llm, memory)
+                if part
+                for event in part.events_pending()
             ],
             inbox=inbox,
             save_state=self._save(state, ordered),
@@ -251,10 +256,17 @@ class Daemon:
         self._stack.callback(model.close)
         return model
 
-    def _desk(self, inbox: Inbox, models: ActiveModels, llm: LanguageModel | None) -> WishDesk:
+    def _memory(self) -> OperatorMemory:
+        settings = self.settings
+        book = FactBook(settings.history.path, self.clock.utc)
+        return OperatorMemory(book, settings.llm.memory_tokens, zone_of(settings.timezone), self.clock)
+
+    def _desk(
+        self, inbox: Inbox, models: ActiveModels, llm: LanguageModel | None, memory: OperatorMemory
+    ) -> WishDesk:
         """Return the desk for operators' requests."""
         model = None if llm is None else partial(settings_from, llm)
-        around = DeskParts(self.settings, model, inbox.ask, lambda: models.twin, self.clock.utc)
+        around = DeskParts(self.settings, model, inbox.ask, lambda: models.twin, self.clock.utc, memory)
         desk = WishDesk(around)
         self._stack.callback(desk.close)
         return desk

@@ -19,7 +19,7 @@ from edge.tick.inbox import Inbox, Reply, Request
 from edge.tick.orders import read_request
 from edge.tick.reference import zone_of
 
-ASKED_OF_THE_DESK = ("ask", "proposal", "confirm", "discard", "undo")
+ASKED_OF_THE_DESK = ("ask", "proposal", "confirm", "discard", "undo", "memory", "remember", "forget")
 ShowState = Callable[[Mapping[str, str]], None]  # publishes how far commissioning is
 UTC_MAX = 253_402_300_799.0  # the last second of the year 9999, the calendar's end [s since 1970]
 

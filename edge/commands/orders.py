@@ -190,6 +190,15 @@ def _proposal(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("id", help="as `greenhouse ask` has printed it")
 
 
+def _why(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--why", default="", help="your reason, for `greenhouse memory`")
+
+
+def _discard(parser: argparse.ArgumentParser) -> None:
+    _proposal(parser)
+    _why(parser)
+
+
 def _status(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print everything as JSON, for programs")
 
@@ -214,8 +223,8 @@ ORDERS: dict[str, tuple[str, str, Fill]] = {  # command -> request, help, argume
         _maintenance,
     ),
     "confirm": ("confirm", "apply a proposal of `greenhouse ask`", _proposal),
-    "discard": ("discard", "put a proposal of `greenhouse ask` away", _proposal),
-    "undo": ("undo", "take back what was confirmed last", _nothing),
+    "discard": ("discard", "put a proposal of `greenhouse ask` away", _discard),
+    "undo": ("undo", "take back what was confirmed last", _why),
     "resend": ("resend", "publish recorded ticks over MQTT again", _resend),
 }
 

@@ -112,6 +112,13 @@ def _on_proposal(do: str) -> Callable[[str, ReferenceSettings], Request]:
     return parse_id
 
 
+def _discard(text: str, reference: ReferenceSettings) -> Request:
+    """Return the request; after the id and a blank an operator may say why."""
+    id, _, why = text.partition(" ")
+    request = _on_proposal("discard")(id, reference)
+    return {**request, "why": why.strip()} if why.strip() else request
+
+
 def _why(text: str, reference: ReferenceSettings) -> Request:
     """Return the request for an explanation; an empty payload asks for the newest command."""
     if not text:
@@ -172,7 +179,7 @@ _PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
     "status": _press({"do": "status"}),
     "ask": _wish,
     "confirm": _on_proposal("confirm"),
-    "discard": _on_proposal("discard"),
+    "discard": _discard,
     "undo": _press({"do": "undo"}),
     "why": _why,
 }

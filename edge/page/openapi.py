@@ -9,6 +9,8 @@ from enum import Enum
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from edge.app.nightly_diagnosis import AdoptRequest
+from edge.assistant.requests.desk import DiscardRequest, UndoRequest
+from edge.assistant.requests.memory import ForgetRequest, RememberRequest
 from edge.bundle.keeper import BundleRequest
 from edge.core.version import __version__
 from edge.formats.cross_check import CheckedDocument, Rule
@@ -51,9 +53,17 @@ OF_THE_DESK: dict[str, Json] = {  # orders that the loop does not know
     "ask": {"words": TEXT},
     "proposal": {"id": TEXT},
     "confirm": {"id": TEXT},
-    "discard": {"id": TEXT},
+    "memory": {},
 }
-JOBS = {"bundle": BundleRequest, "adopt": AdoptRequest}  # orders that take their time
+# Orders by their documents that the loop does not know, or that the desk takes in its place.
+DOCUMENTS = {
+    "discard": DiscardRequest,
+    "undo": UndoRequest,
+    "remember": RememberRequest,
+    "forget": ForgetRequest,
+    "bundle": BundleRequest,
+    "adopt": AdoptRequest,
+}
 NOT_JSON = {
     "/api/stream": "text/event-stream",
     "/api/export": "text/csv",
@@ -123,7 +133,7 @@ def _order(kind: str) -> Json:
     if kind in OF_THE_DESK:
         keys, required = OF_THE_DESK[kind], list(OF_THE_DESK[kind])
     else:
-        document = JOBS.get(kind) or ORDERS[kind].keys
+        document = DOCUMENTS.get(kind) or ORDERS[kind].keys
         keys, required = _properties(document), _keys_without_default(document)
     found = _object({"do": {"const": kind}, **keys})
     return {**found, "required": ["do", *required], "description": f"Needs the role {NEEDS[kind].word}."}

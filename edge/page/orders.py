@@ -29,6 +29,9 @@ NEEDS = {
     "confirm": Role.OPERATE,
     "discard": Role.OPERATE,
     "undo": Role.OPERATE,
+    "memory": Role.OPERATE,
+    "remember": Role.OPERATE,
+    "forget": Role.OPERATE,
     "bundle": Role.ADMIN,
     "adopt": Role.ADMIN,
 }

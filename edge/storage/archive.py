@@ -9,6 +9,7 @@ from pathlib import Path
 
 from edge.core.hard_limits import STEP_MIN_S
 from edge.core.messages import TickRecord
+from edge.storage.facts import insert_learnt
 from edge.storage.file import SliceCheck, Unusable, connect, identity
 from edge.storage.retention import RetentionSettings, thin
 from edge.storage.schema_version import SCHEMA_VERSION
@@ -86,12 +87,12 @@ class Archive:
         self.last_sign = None if sign is None or None in sign else LastSign(*sign)
 
     def needs_migration(self) -> bool:
-        """Return whether the indexes of the newest schema are missing."""
+        """Return whether indexes or the table of facts are missing."""
         version = self.open_connection().execute("PRAGMA user_version").fetchone()[0]
         return bool(version < SCHEMA_VERSION)
 
     def finish_migration(self) -> None:
-        """Add the indexes, in one transaction; a year of history takes seconds, on a slow card minutes."""
+        """Add what is missing, in one transaction; a year of ticks takes seconds, on a slow card minutes."""
         from edge.storage.schema import migrate
 
         migrate(self.open_connection(), SCHEMA_VERSION)
@@ -117,6 +118,8 @@ class Archive:
         try:
             session_id = self._session_id or self._begin_session(connection, next_seq, utc)
             insert_ticks(connection, records, session_id)
+            if not self.needs_migration():
+                insert_learnt(connection, records)
             connection.executemany(
                 "INSERT INTO gaps VALUES (?, ?, ?, ?)",
                 [(gap.first_seq, gap.last_seq, utc, gap.reason) for gap in gaps],

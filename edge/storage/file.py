@@ -20,6 +20,7 @@ _ORDERS = (  # table and the column whose order is walked: each is a tree of pag
     *(("ticks", "seq"), ("ticks", "utc"), ("events", "seq"), ("events", "utc"), ("readings", "seq")),
     *(("decisions", "seq"), ("forecasts", "seq"), ("changes", "seq"), ("ten_minutes", "start_utc")),
     *(("skill", "hour_utc"), ("gaps", "rowid"), ("outbox", "id"), ("outbox", "seq")),
+    ("facts", "id"),
 )
 
 

@@ -176,12 +176,21 @@ def add_indexes(db: Database) -> None:
         db.conn.execute(f"CREATE INDEX {index} ON {table} ({column})")
 
 
+def add_facts(db: Database) -> None:
+    """Version 6: what was decided, noted and learnt, see `facts`. An erased id is never given again."""
+    db.conn.execute(
+        "CREATE TABLE IF NOT EXISTS facts (id INTEGER PRIMARY KEY AUTOINCREMENT, utc REAL, kind TEXT,"
+        " text TEXT, author TEXT, about TEXT, edited_utc REAL)"
+    )
+
+
 MIGRATIONS: tuple[Callable[[Database], None], ...] = (
     create_tables,
     create_views,
     add_monotonic_times,
     add_forecasts,
     add_indexes,
+    add_facts,
 )
 
 

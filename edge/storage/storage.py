@@ -288,9 +288,9 @@ class Storage:
                 self._replace(error)
 
     def _migrate(self) -> None:
-        """Add the indexes to a history of an earlier version; ticks wait in the queue meanwhile.
+        """Add the indexes and the table of facts to a history of an earlier version; ticks wait meanwhile.
 
-        Without indexes every query still works, so a disk that has no room for them stops nothing.
+        Without them every query of ticks still works, so a disk that has no room for them stops nothing.
         """
         if self._is_migrated:
             return
@@ -298,7 +298,7 @@ class Storage:
             if self._archive.needs_migration():
                 self._behind, self._is_migrating = "its indexes are being built, once", True
                 self._archive.finish_migration()
-                self._tell("history.indexed", Severity.INFO, "indexes by time were added")
+                self._tell("history.indexed", Severity.INFO, "indexes by time and the memory were added")
             self._is_migrated = True
         except Exception as error:
             self._tell("history.not_indexed", Severity.WARNING, f"no indexes, so searches are slow: {error}")

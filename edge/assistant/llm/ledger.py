@@ -13,12 +13,13 @@ RULE = (
 )
 
 
-def data_block(source: str, value: Any) -> str:
+def data_block(source: str, value: Any, ascii: bool = True) -> str:
     """`value` as JSON inside a labelled block.
 
     "<" and ">" are escaped as JSON allows, so that no text inside can close the block.
+    ascii : escape every other letter too; without it each text must have passed `plain_text.plain`
     """
-    text = json.dumps(value, ensure_ascii=True, allow_nan=False)
+    text = json.dumps(value, ensure_ascii=ascii, allow_nan=False)
     text = text.replace("<", "\\u003c").replace(">", "\\u003e")
     return f'<data source="{source}">\n{text}\n</data>'
 

@@ -10,10 +10,9 @@ import jsonschema
 import pytest
 
 from bench.support.page_process import page_of
-from edge.bundle.keeper import BundleRequest
 from edge.core.errors import RequestError
 from edge.page.app import API, STATIC
-from edge.page.openapi import BODIES, PARAMETERS, openapi
+from edge.page.openapi import BODIES, DOCUMENTS, PARAMETERS, openapi
 from edge.page.orders import NEEDS
 from edge.tick.orders import ORDERS, Desk, Operation, operate
 
@@ -77,7 +76,7 @@ def test_schema_and_daemon_agree_on_an_order(order: dict[str, Any], is_good: boo
 def test_the_keys_of_orders_are_those_of_their_documents() -> None:
     for each in orders_schema()["oneOf"]:
         kind = each["properties"]["do"]["const"]
-        document = ORDERS[kind].keys if kind in ORDERS else BundleRequest if kind == "bundle" else None
+        document = DOCUMENTS.get(kind) or (ORDERS[kind].keys if kind in ORDERS else None)
         if document is not None:
             assert len(each["properties"]) == 1 + len(document.__dataclass_fields__)
 

@@ -504,7 +504,7 @@ def test_a_history_of_an_older_version_is_brought_up_with_its_ticks(path: Path) 
     with closing(sqlite3.connect(path)) as connection, connection:
         for view in VIEWS:
             connection.execute(f"DROP VIEW {view}")
-        for table in ("forecasts", "skill"):
+        for table in ("forecasts", "skill", "facts"):
             connection.execute(f"DROP TABLE {table}")
         for index in schema.INDEXES:
             connection.execute(f"DROP INDEX {index}")
@@ -554,7 +554,9 @@ def slow_indexes(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[thread
         db.conn.execute(f"{endless} SELECT count(*) FROM n").fetchone()
         schema.add_indexes(db)
 
-    monkeypatch.setattr(schema, "MIGRATIONS", (*schema.MIGRATIONS[:-1], build))
+    migrations = schema.MIGRATIONS
+    indexes = migrations.index(schema.add_indexes)
+    monkeypatch.setattr(schema, "MIGRATIONS", (*migrations[:indexes], build, *migrations[indexes + 1 :]))
     yield go_on
     go_on.set()
 
