@@ -1,1 +1,1 @@
-"""100 sentences of operators in three languages, each with what would be right."""
+"""Sentences of operators in three languages, 32 of which refer to facts, each with what would be right."""

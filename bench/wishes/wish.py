@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ import numpy as np
 import yaml
 
 from edge.assistant.requests.answer import seconds_of_clock
+from edge.storage.facts import FactKind
 from edge.tick.steering import Steering, reference_of
 
 FILE = Path(__file__).with_name("wishes.yaml")
+REMEMBERED = Path(__file__).with_name("remembered.yaml")
 TARGET_K = 0.11  # a reference this near is the one that was meant
 ROUNDING = 1e-6  # a penalty, duty or time this far outside its range is in it
 
@@ -27,8 +30,22 @@ class WishEnd(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class EarlierFact:
+    """One row of `facts`. settings : those of a decision, as a model answers them; text : of a note"""
+
+    utc: float
+    kind: FactKind
+    words: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    why: str = ""
+    text: str = ""
+    by: str = ""
+    erased: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Wish:
-    """One row of wishes.yaml, whose head says what the keys mean."""
+    """One row of wishes.yaml or remembered.yaml, whose heads say what the keys mean."""
 
     id: str
     words: str
@@ -39,6 +56,7 @@ class Wish:
     fan_off: tuple[str, ...] = ()
     fan_free: tuple[str, ...] = ()
     may: tuple[str, ...] = ()
+    facts: tuple[EarlierFact, ...] = ()
 
     @property
     def language(self) -> str:
@@ -131,5 +149,19 @@ def _wish(row: Mapping[str, Any]) -> Wish:
         key: (float(given[key][0]), float(given.pop(key)[1])) for key in keys
     }
     given |= {key: tuple(given[key]) for key in ("fan_off", "fan_free", "may") if key in given}
+    given["facts"] = tuple(map(_fact, given.get("facts", ())))
     best, also = WishEnd(given.pop("best")), tuple(map(WishEnd, given.pop("also", ())))
     return Wish(**given, best=best, also=also, ranges=ranges)
+
+
+def _fact(row: Mapping[str, Any]) -> EarlierFact:
+    given = dict(row)
+    when = datetime.strptime(f"2026-{given.pop('when')} +0000", "%Y-%m-%d %H:%M %z")
+    values: dict[str, Any] = given.pop("set", {})
+    if "reference" in values:
+        pairs = values["reference"].items()
+        values = {**values, "reference": [{"from": clock, "degc": degc} for clock, degc in pairs]}
+    if "fan_rest" in values:
+        pairs = values["fan_rest"].items()
+        values = {**values, "fan_rest": [{"from": begin, "until": end} for begin, end in pairs]}
+    return EarlierFact(when.timestamp(), FactKind(given.pop("kind")), settings=values, **given)

@@ -103,3 +103,49 @@ def test_the_table_counts_every_wish_once(tmp_path: Path) -> None:
     assert sum(counted["wants settings"]) + sum(counted["wants no settings"]) == 100
     assert f"who always asks back would be right in {asked_rightly}" in lines
     assert lines[-2].endswith("none")
+
+
+REMEMBERED = {wish.id: wish for wish in read_wishes(wishes.REMEMBERED)}
+
+
+def test_the_wishes_that_refer_to_earlier_ones_are_others_and_each_has_facts() -> None:
+    assert len(REMEMBERED) == len({wish.id for wish in read_wishes(wishes.REMEMBERED)}) == 32
+    assert not REMEMBERED.keys() & BY_ID.keys()
+    assert {wish.language for wish in REMEMBERED.values()} == {"en", "de", "no"}
+    assert all(wish.facts for wish in REMEMBERED.values())
+    assert all(fact.utc < NOW for wish in REMEMBERED.values() for fact in wish.facts)
+
+
+@pytest.mark.parametrize("id", REMEMBERED)
+def test_all_that_a_wish_refers_to_is_in_its_data_block_and_nothing_that_was_erased(
+    tmp_path: Path, id: str
+) -> None:
+    wish = REMEMBERED[id]
+    block = wishes.memory_of(wish, tmp_path / "history.db", loading.default())
+    told = json.loads(block.splitlines()[1])["facts"]
+    assert [(fact["kind"], fact.get("by", "")) for fact in told] == [
+        (fact.kind.value, fact.by) for fact in wish.facts if not fact.erased
+    ]
+    for fact in wish.facts:
+        shown = any((fact.text or f'"{fact.words}"') in each["text"] for each in told)
+        assert shown is not fact.erased
+    assert block.count("<") == 2
+
+
+def test_with_memory_each_question_holds_its_facts_and_without_it_none(tmp_path: Path) -> None:
+    settings = loading.default()
+    model = wishes.open_model("http://model.test/v1", "m", tmp_path, settings)
+    line = ScriptedLine(says(answer(question="What?")))
+    model.endpoint.line = line.post
+    few = list(REMEMBERED.values())[8:14]
+    lines = list(wishes.compare(model, settings, few, tmp_path))
+    asked = [body["messages"] for body in line.bodies]
+    assert len(asked) == 12
+    assert not [True for messages in asked[:6] if "memory" in messages[1]["content"]]
+    assert all('<data source="memory">' in messages[1]["content"] for messages in asked[6:])
+    asked_rightly = sum(WishEnd.ASK in (wish.best, *wish.also) for wish in few)
+    assert lines.count(f"who always asks back would be right in {asked_rightly}") == 2
+    assert [line for line in lines if "memory" in line] == [
+        "without memory",
+        "with memory, at most 400 tokens",
+    ]
