@@ -6,6 +6,7 @@ import { Alarms } from "./alarms.js";
 import { Calibration } from "./calibration.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
 import { ModelCards } from "./models.js";
+import { Memory } from "./memory.js";
 import { Profile } from "./profile.js";
 import { Access, Ask, Controls, Events, Health, Models, Now, Stop, Why, troubles } from "./parts.js";
 import { WhatIf } from "./what_if.js";
@@ -97,7 +98,11 @@ function Rig({ me }) {
     setLost(error ?? null);
     if (error?.status === 401) location.reload();
   }), []);
-  const done = () => call("GET", "/api/view").then((found) => setView(newer(found)), () => {});
+  const [orders, setOrders] = useState(0); // that this page has given
+  const done = () => {
+    setOrders((before) => before + 1);
+    return call("GET", "/api/view").then((found) => setView(newer(found)), () => {});
+  };
   const bad = troubles(view, lost);
   const seq = view?.status?.tick?.seq;
   const group = useGroup();
@@ -114,6 +119,7 @@ function Rig({ me }) {
         <${Controls} view=${view} me=${me} done=${done} />
         <${Profile} view=${view} me=${me} done=${done} />
         <${Ask} me=${me} done=${done} />
+        <${Memory} me=${me} news=${orders} />
         <${Events} me=${me} news=${seq} />
       <//>
       <${Group} name="twin" group=${group}>

@@ -145,6 +145,7 @@ export function Controls({ view, me, done }) {
 export function Ask({ me, done }) {
   const [words, setWords] = useState("");
   const [proposal, setProposal] = useState(null);
+  const [why, setWhy] = useState("");
   useEffect(() => {
     if (proposal?.state !== "thinking") return undefined;
     const again = setTimeout(() => call("POST", "/api/order", { do: "proposal", id: proposal.id }).then((found) => setProposal(found.proposal)), 1000);
@@ -159,8 +160,10 @@ export function Ask({ me, done }) {
     done();
   };
   const discard = async () => {
-    if (proposal.state === "ready") await call("POST", "/api/order", { do: "discard", id: proposal.id });
+    if (proposal.state === "ready") await call("POST", "/api/order", { do: "discard", id: proposal.id, why });
     setProposal(null);
+    setWhy("");
+    done();
   };
   return html`<section class="card" aria-label="Ask"><h2>Ask in words</h2>
     <div class="row"><input aria-label="What you want" placeholder="two degrees warmer until tomorrow noon" value=${words} onInput=${(event) => setWords(event.target.value)} />
@@ -171,7 +174,8 @@ export function Ask({ me, done }) {
         <p>${proposal.said || proposal.error || proposal.state}</p>
         <ul>${proposal.changes.map((change) => html`<li key=${change}>${change}</li>`)}</ul><p class="quiet">${proposal.effect}</p>`}
       <div class="row">${proposal.state === "ready" && html`<${Do} kind="plain" act=${confirm}>Confirm<//>`}
-        <${Do} act=${discard}>Discard<//></div></div>`}
+        <${Do} act=${discard}>Discard<//>
+        ${proposal.state === "ready" && html`<input aria-label="Why not" placeholder="why not, for the memory" maxlength="200" value=${why} onInput=${(event) => setWhy(event.target.value)} />`}</div></div>`}
   </section>`;
 }
 
