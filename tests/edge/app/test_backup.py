@@ -15,6 +15,8 @@ import yaml
 from edge.app.backup import MANIFEST, back_up, restore
 from edge.commands import backup as command
 from edge.core.errors import DataError, RequestError
+from edge.storage import FactBook
+from edge.storage.file import connect
 
 FILES = {
     "etc/credentials/secret_mqtt": "hunter2",
@@ -87,6 +89,21 @@ def test_everything_comes_back(rig, tmp_path):
     assert (root / "etc/credentials/secret_mqtt").stat().st_mode & 0o777 == 0o600
     assert len(restored) == 11
     assert not [path for path in tmp_path.rglob(".*")]
+
+
+def test_what_was_remembered_comes_back_with_the_history(rig, tmp_path):
+    history, out = rig.parent.parent / "var/history.db", tmp_path / "backup.tar.gz"
+    for path in history.parent.glob("history.db*"):
+        path.unlink()
+    connect(history, 1.0).close()
+    book = FactBook(history, lambda: 1000.0)
+    book.note("no fan at night", "Ann")
+    facts = book.newest_first()
+    back_up(rig, out)
+    lose(rig)
+    list(restore(out, rig, replaces=False))
+    assert len(facts) == 1
+    assert book.newest_first() == facts
 
 
 def test_a_history_that_is_written_meanwhile_is_whole(rig, tmp_path):

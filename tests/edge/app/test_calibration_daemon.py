@@ -10,6 +10,8 @@ import pytest
 from edge.board.virtual_rig import settings_in
 from edge.config import loading as config
 from edge.core.messages import TickRecord
+from edge.storage import FactBook
+from edge.storage.facts import FactKind
 from edge.storage.runs import export_stretches
 from firmware_protocol.virtual_board.board_config import RIG_PARTS
 from firmware_protocol.virtual_board.chamber import Chamber
@@ -90,5 +92,7 @@ def test_two_points_in_water_correct_the_sensor_for_good(tmp_path: Path) -> None
     assert not [event for event in events if event.severity.value != "info"], events
     assert {"calibration.changed", "calibration.holds"} <= {event.key for event in events}
     assert len(lab.history) == 160
+    (learnt,) = FactBook(settings.history.path, lambda: 0.0).newest_first()
+    assert (learnt.kind, learnt.text[:16]) == (FactKind.LEARNT, "temp_air is now ")
     # An export for a fit never crosses the moment.
     assert [len(run) for run in export_stretches(settings.history.path)] == [APPLIED - 1, 90, 10]

@@ -91,6 +91,48 @@ def test_a_confirmed_wish_moves_the_reference_outlives_a_kill_and_ends_by_itself
         wait_for(lambda: daemon.ask("status")["tick"]["reference_c"] == 32.0)
 
 
+def test_what_was_decided_is_remembered_over_a_kill_listed_edited_and_forgotten(
+    folder: Path, board: VirtualBoard, model: StandIn, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with daemon_of(folder, model, step_s=60) as daemon:
+        socket = ("--socket", str(daemon.socket))
+
+        def listed(*words: str) -> list[str]:
+            capsys.readouterr()
+            assert said_to("memory", *(words or ("list",)), *socket) == 0
+            return capsys.readouterr().out.splitlines()
+
+        assert listed() == ["nothing is remembered"]
+        said_to("ask", WISH, *socket)
+        id = capsys.readouterr().out.splitlines()[0].removeprefix("proposal ")
+        assert said_to("discard", id, "--why", "the basil wilts", *socket) == 0
+        assert said_to("ask", "--yes", "keep 27", *socket) == 0
+        assert listed("add", "no", "fan", "at", "night") == ["done"]
+        daemon.kill()
+        daemon.start()
+        note, confirmed, discarded = listed()
+        assert note.endswith("note: no fan at night")
+        assert 'confirmed: "keep 27"; settings: reference every day: 27 °C' in confirmed
+        assert f'discarded: "{WISH}"; because: the basil wilts' in discarded
+        assert said_to("undo", "--why", "too warm", *socket) == 0
+        assert 'undone: "keep 27"; because: too warm' in listed()[0]
+
+        before = len(model.requests)
+        said_to("ask", "as yesterday, but no fan", *socket)
+        asked = json.dumps(model.requests[before:], ensure_ascii=False)
+        assert all(words in asked for words in ("no fan at night", "the basil wilts", "too warm"))
+
+        number = note.split()[0]
+        assert listed("edit", number, "the fan may run") == ["done"]
+        assert listed()[1].endswith("note, edited: the fan may run")
+        assert listed("forget", number) == ["done"]
+        assert said_to("memory", "forget", number, *socket) == 1
+        assert said_to("memory", "forget", *socket) == 1
+        assert len(listed()) == 2
+        assert listed("forget", "--all") == ["done"]
+        assert listed() == ["nothing is remembered"]
+
+
 @needs_mosquitto
 def test_wish_confirmation_undo_and_why_over_the_broker(
     folder: Path, board: VirtualBoard, model: StandIn
@@ -122,6 +164,13 @@ def test_wish_confirmation_undo_and_why_over_the_broker(
         wait_for(lambda: daemon.ask("status")["tick"]["controller"] == "rules")
         daemon.wait_ticks(1)
         assert any("rules wanted heater" in line for line in answered("why", "")["lines"])
+        answered("ask", WISH)
+        wait_for(lambda: listener.objects(f"{RIG}/proposal")[-1]["state"] == "ready")
+        other = listener.objects(f"{RIG}/proposal")[-1]
+        assert answered("discard", f"{other['id']} the basil wilts")["ok"]
+        discarded, undone = daemon.ask("memory")["facts"]
+        assert (discarded["kind"], undone["kind"]) == ("discarded", "undone")
+        assert "because: the basil wilts; settings: " in discarded["text"]
 
 
 def test_why_is_answered_without_a_language_model(
