@@ -175,7 +175,7 @@ class LlmSettings(Section):
         90.0, "a command is taken from an answer to a question no older than this", "s", 1.0, 3600.0
     )
     memory_tokens: int = whole(
-        400, "facts of `greenhouse memory` put beside a request in words, at most [tokens]; 0: none", 0, 8000
+        800, "facts of `greenhouse memory` put beside a request in words, at most [tokens]; 0: none", 0, 8000
     )
     tokens_per_day: int = whole(10_000_000, "budget of a UTC day [tokens]; 0: none is set", 0, 10**12)
     cost_per_day: float = number(

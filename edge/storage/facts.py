@@ -104,11 +104,14 @@ class FactBook:
             self._insert(connection, kind, plain(text, TEXT_MAX), author, about)
 
     def edit(self, id: int, text: str, author: str = "") -> None:
-        """Replace a text, and its author by who edited it. Errors: RequestError without this fact"""
+        """Replace a text, and its author by who edited it. Errors: RequestError without this fact
+
+        The fact is a note from then on: else it would say that somebody had confirmed the new words.
+        """
         with self._transaction() as connection:
             changed = connection.execute(
-                "UPDATE facts SET text = ?, author = ?, edited_utc = ? WHERE id = ?",
-                (_one_line(text), plain(author, AUTHOR_MAX), self._utc(), id),
+                "UPDATE facts SET kind = ?, about = '', text = ?, author = ?, edited_utc = ? WHERE id = ?",
+                (FactKind.NOTE.value, _one_line(text), plain(author, AUTHOR_MAX), self._utc(), id),
             ).rowcount
             _refuse_missing(id, changed)
 

@@ -147,5 +147,5 @@ def test_with_memory_each_question_holds_its_facts_and_without_it_none(tmp_path:
     assert lines.count(f"who always asks back would be right in {asked_rightly}") == 2
     assert [line for line in lines if "memory" in line] == [
         "without memory",
-        "with memory, at most 400 tokens",
+        "with memory, at most 800 tokens",
     ]

@@ -16,7 +16,6 @@ from itertools import chain, zip_longest
 from typing import Any
 
 from edge.assistant.llm.ledger import RULE, data_block
-from edge.assistant.llm.wire import CHARACTERS_PER_TOKEN
 from edge.core.clock import Clock
 from edge.core.errors import RequestError
 from edge.core.messages import Event, Severity
@@ -28,6 +27,9 @@ from edge.tick.orders import AUTHOR, NoKeys, read_request
 Json = dict[str, Any]
 
 WHY_MAX = 200  # characters of an operator's reason
+# Dates and figures need more tokens than prose: SmolLM2 counts 1.8 to 2.4 bytes a token in blocks of
+# bench/wishes/remembered.yaml, where the vendors' rule for English text, 4, would promise half of that.
+BYTES_PER_TOKEN = 1.8
 PROMPT = f"""
 The data block "memory" lists what was decided and noted on this rig before, newest first. confirmed: the
 operator applied it; discarded: the operator did not want it; undone: applied and taken back; note: written by
@@ -145,17 +147,17 @@ class OperatorMemory:
 def memory_block(
     facts: Sequence[Fact], words: str, most_tokens: int, now_utc: float, zone: tzinfo | None
 ) -> str:
-    """Return a data block of at most `most_tokens` (estimated), "" where no fact fits.
+    """Return a data block of at most `most_tokens`, by BYTES_PER_TOKEN, "" where no fact fits.
 
     facts : newest first; alternately the newest one and the one that shares most with `words` is taken
     """
     taken: list[Fact] = []
-    around = len(_block([], now_utc, zone))
+    around = _bytes([], now_utc, zone)
     length = around
     for fact in _in_turn(facts, by_relevance(facts, words)):
         # By lengths, as the whole block anew for each of a thousand facts would take seconds.
-        longer = length + len(_block([fact], now_utc, zone)) - around + len(", ")
-        if longer // CHARACTERS_PER_TOKEN < most_tokens:
+        longer = length + _bytes([fact], now_utc, zone) - around + len(", ")
+        if longer <= BYTES_PER_TOKEN * most_tokens:
             taken.append(fact)
             length = longer
     return _block(taken, now_utc, zone) if taken else ""
@@ -196,6 +198,10 @@ def _block(facts: Sequence[Fact], now_utc: float, zone: tzinfo | None) -> str:
         for fact in sorted(facts, key=lambda fact: (fact.utc, fact.id), reverse=True)
     ]
     return data_block("memory", {"now": _local(now_utc, zone), "facts": rows}, ascii=False)
+
+
+def _bytes(facts: Sequence[Fact], now_utc: float, zone: tzinfo | None) -> int:
+    return len(_block(facts, now_utc, zone).encode())
 
 
 def _local(utc: float, zone: tzinfo | None) -> str:

@@ -13,9 +13,8 @@ import pytest
 from test_steering import document, status
 
 from edge.assistant.llm.ledger import RULE
-from edge.assistant.llm.wire import estimated_tokens
 from edge.assistant.requests.desk import DeskParts, WishDesk, messages
-from edge.assistant.requests.memory import WHY_MAX, OperatorMemory, memory_block
+from edge.assistant.requests.memory import BYTES_PER_TOKEN, WHY_MAX, OperatorMemory, memory_block
 from edge.config import loading as config
 from edge.storage.facts import TEXT_MAX, Fact, FactBook, FactKind
 from edge.storage.file import connect
@@ -42,7 +41,7 @@ class RememberingOffice:
     """A desk with a memory, and a model whose questions are kept."""
 
     path: Path
-    tokens: int = 400
+    tokens: int = 800
     reply: Any = field(default_factory=document)
     asked: list[list[dict[str, str]]] = field(default_factory=list)
     orders: list[dict[str, Any]] = field(default_factory=list)
@@ -127,7 +126,7 @@ def test_a_proposal_that_nobody_decided_on_is_no_fact(office: RememberingOffice)
 
 
 def test_the_next_request_holds_the_facts_and_without_memory_it_does_not(tmp_path: Path) -> None:
-    for tokens in (400, 0):
+    for tokens in (800, 0):
         office = RememberingOffice(tmp_path / f"{tokens}.db", tokens)
         office.do("confirm", id=office.ask("20 at night")["id"], by="Ann")
         office.do("remember", text="never above 30, the basil wilts", by="Bob")
@@ -217,19 +216,20 @@ def test_a_note_of_100_kb_is_refused_with_a_reason(office: RememberingOffice) ->
     assert not office.do("discard", id="a", why="x" * (WHY_MAX + 1))["ok"]
 
 
-@pytest.mark.parametrize("tokens", [0, 1, 40, 400, 2000])
-@pytest.mark.parametrize(("text", "longest"), [("fact number {}", 40), ("{} " + "<ø°>" * 120, 500)])
+@pytest.mark.parametrize("tokens", [0, 1, 100, 800, 4000])
+@pytest.mark.parametrize(("text", "longest"), [("fact number {}", 100), ("{} " + "<ø°>" * 120, 1200)])
 def test_ten_thousand_facts_keep_to_the_bound(tokens: int, text: str, longest: int) -> None:
     block = memory_block(some(10_000, text), "fact number 17", tokens, NOW, None)
-    assert not block or estimated_tokens(block) <= tokens
+    used = len(block.encode()) / BYTES_PER_TOKEN
+    assert used <= tokens
     assert bool(block) == (tokens >= longest)
-    assert not block or estimated_tokens(block) > tokens - longest  # and use it
+    assert not block or used > tokens - longest  # and use it
 
 
 def test_the_newest_facts_and_those_that_share_words_come_first() -> None:
     facts = some(1000)
     old = Fact(2000, NOW - 300 * DAY_S, FactKind.NOTE, "Die übliche Nacht: 19 Grad, Lüfter aus")
-    block = block_of(memory_block([*facts, old], "die üblichen Nächte, Lüftung aus", 200, NOW, None))
+    block = block_of(memory_block([*facts, old], "die üblichen Nächte, Lüftung aus", 400, NOW, None))
     texts = [fact["text"] for fact in block["facts"]]
     assert texts[0] == "fact number 1000"
     assert texts[1] == "fact number 999"

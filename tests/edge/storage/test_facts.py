@@ -56,6 +56,16 @@ def test_an_edited_note_says_when_and_by_whom(pages: Pages) -> None:
     assert pages.book.newest_first() == [Fact(id, 1000.0, FactKind.NOTE, "25", "Bob", 2000.0)]
 
 
+def test_an_edited_decision_is_a_note_which_no_later_decision_replaces(pages: Pages) -> None:
+    pages.book.decide(FactKind.CONFIRMED, "p1", "26", "Ann")
+    pages.book.edit(pages.book.newest_first()[0].id, "38", "Bob")
+    pages.book.decide(FactKind.UNDONE, "p1", "26", "Ann")
+    assert [(fact.kind, fact.text, fact.author) for fact in pages.book.newest_first()] == [
+        (FactKind.UNDONE, "26", "Ann"),
+        (FactKind.NOTE, "38", "Bob"),
+    ]
+
+
 def test_an_erased_fact_is_erased_from_the_file_and_its_id_is_never_given_again(pages: Pages) -> None:
     secret = "the key lies under the third pot"
     id = pages.book.note(secret)
