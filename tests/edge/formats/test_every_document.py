@@ -26,7 +26,8 @@ from edge.assistant.llm.simulate_tool import SimulateArguments
 from edge.assistant.llm.sql_tool import SqlArguments
 from edge.assistant.llm.wire import ChoicesDocument
 from edge.assistant.requests.answer import WishAnswer, understood
-from edge.assistant.requests.desk import ProposalRequest, WishRequest
+from edge.assistant.requests.desk import DiscardRequest, ProposalRequest, UndoRequest, WishRequest
+from edge.assistant.requests.memory import ForgetRequest, RememberRequest
 from edge.board.board_file import BoardDocument, read_board_file
 from edge.bundle.inventory import ModelReport
 from edge.bundle.keeper import BundleRequest
@@ -270,6 +271,10 @@ KINDS: dict[type, DocumentKind] = {
     CommissionRequest: asked(CommissionRequest, {"end": True}),
     WishRequest: asked(WishRequest, {"words": "warmer"}),
     ProposalRequest: asked(ProposalRequest, {"id": "a"}),
+    DiscardRequest: asked(DiscardRequest, {"id": "a", "why": "too warm"}),
+    UndoRequest: asked(UndoRequest, {"why": "too warm"}),
+    RememberRequest: asked(RememberRequest, {"text": "no fan", "id": 1}, ("id",)),
+    ForgetRequest: asked(ForgetRequest, {"id": 1, "all": False}, ("id",)),
     Proposal: DocumentKind(
         lambda text: external._proposal(parse_json(text)),
         lambda: {"heater_duty": 0.5, "fan_on": True},
