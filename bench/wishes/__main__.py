@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
@@ -57,7 +58,7 @@ VERDICTS = ("right", "ask", "refuse", "nothing", "wrong")
 
 
 def put(
-    wish: Wish, model: LanguageModel, settings: Settings, memory: str = ""
+    wish: Wish, memory: str, model: LanguageModel, settings: Settings
 ) -> tuple[WishEnd, Steering | None, str]:
     """Return the end of a question, the proposal, and the reason where nothing came."""
     try:
@@ -92,13 +93,22 @@ def memory_of(wish: Wish, history: Path, settings: Settings) -> str:
 
 
 def score(
-    model: LanguageModel, settings: Settings, wishes: Sequence[Wish], memory: Mapping[str, str] | None = None
+    model: LanguageModel,
+    settings: Settings,
+    wishes: Sequence[Wish],
+    memory: Mapping[str, str] | None = None,
+    jobs: int = 1,
 ) -> list[str]:
-    """Put every wish; return a line for each that is not right, and the table. memory : blocks by id"""
+    """Put every wish, `jobs` at a time; return a line for each that is not right, and the table.
+
+    memory : blocks by id
+    """
     lines, counts, hidden = [], Counter[tuple[str, str]](), []
     begun_s, spent = time.monotonic(), model.budget.spent.tokens
-    for wish in wishes:
-        outcome, steering, reason = put(wish, model, settings, (memory or {}).get(wish.id, ""))
+    blocks = [(memory or {}).get(wish.id, "") for wish in wishes]
+    with ThreadPoolExecutor(jobs) as pool:
+        ends = list(pool.map(partial(put, model=model, settings=settings), wishes, blocks))
+    for wish, (outcome, steering, reason) in zip(wishes, ends, strict=True):
         verdict = wish.verdict(outcome, steering, NOW)
         counts[wish.language, verdict] += 1
         counts[KINDS[wish.best is WishEnd.SETTINGS], verdict] += 1
@@ -119,13 +129,15 @@ def score(
     return lines
 
 
-def compare(model: LanguageModel, settings: Settings, wishes: Sequence[Wish], folder: Path) -> Iterator[str]:
+def compare(
+    model: LanguageModel, settings: Settings, wishes: Sequence[Wish], folder: Path, jobs: int = 1
+) -> Iterator[str]:
     """Yield the score without and with what each wish refers to."""
     blocks = {wish.id: memory_of(wish, folder / f"{wish.id}.db", settings) for wish in wishes}
     yield "without memory"
-    yield from score(model, settings, wishes)
+    yield from score(model, settings, wishes, None, jobs)
     yield f"with memory, at most {settings.llm.memory_tokens} tokens"
-    yield from score(model, settings, wishes, blocks)
+    yield from score(model, settings, wishes, blocks, jobs)
 
 
 def table(counts: Counter[tuple[str, str]]) -> list[str]:
@@ -148,6 +160,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--url", required=True, help="base URL of an OpenAI-compatible endpoint")
     parser.add_argument("--model", required=True, help="its name there")
     parser.add_argument("--memory", action="store_true", help="the wishes that refer to earlier ones")
+    parser.add_argument("--jobs", type=int, default=1, help="wishes put at a time; default: 1")
     given = parser.parse_args(words)
     settings = loading.default()
     print(*header(), f"model {given.model}", sep="\n")
@@ -155,9 +168,11 @@ def main(words: Sequence[str] | None = None) -> int:
         model = open_model(given.url, given.model, Path(folder), settings)
         try:
             if given.memory:
-                print(*compare(model, settings, read_wishes(REMEMBERED), Path(folder)), sep="\n")
+                lines = compare(model, settings, read_wishes(REMEMBERED), Path(folder), given.jobs)
             else:
-                print(*score(model, settings, read_wishes()), sep="\n")
+                lines = iter(score(model, settings, read_wishes(), None, given.jobs))
+            for line in lines:
+                print(line, flush=True)
         finally:
             model.close()
     return 0

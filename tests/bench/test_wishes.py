@@ -26,7 +26,7 @@ def ended(wish: Wish, tmp_path: Path, content: str) -> tuple[str, str]:
     settings = loading.default()
     model: LanguageModel = wishes.open_model("http://model.test/v1", "m", tmp_path, settings)
     model.endpoint.line = ScriptedLine(says(content)).post
-    outcome, steering, reason = wishes.put(wish, model, settings)
+    outcome, steering, reason = wishes.put(wish, "", model, settings)
     return wish.verdict(outcome, steering, NOW), reason
 
 
