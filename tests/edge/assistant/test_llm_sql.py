@@ -136,7 +136,9 @@ def test_long_texts_and_long_answers_are_cut(history: Path) -> None:
 
 # what it refuses
 
-BASE_TABLES = ("ticks", "events", "decisions", "sessions", "outbox", "history", "runs", "sqlite_master")
+BASE_TABLES = (
+    *("ticks", "events", "decisions", "sessions", "outbox", "history", "runs", "facts", "sqlite_master"),
+)
 
 
 @pytest.mark.parametrize("table", BASE_TABLES)
