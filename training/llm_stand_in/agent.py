@@ -32,7 +32,6 @@ class QuestionNumbers:
     fan_on: bool
     fan_held: bool
     spare: bool
-    steps: int  # longest set of controls for a simulation
 
 
 def read_prompt(messages: Sequence[Message]) -> QuestionNumbers | None:
@@ -57,7 +56,6 @@ def read_prompt(messages: Sequence[Message]) -> QuestionNumbers | None:
         fan_on="the fan is on" in text,
         fan_held="relay stays" in text,
         spare="spare heater and fan" in text,
-        steps=int(_find(rf"A set has up to {_NUMBER} steps", text) or 1),
     )
 
 
@@ -206,7 +204,7 @@ def _next_set(asked: QuestionNumbers, simulated: Sequence[Mapping[str, Any]]) ->
         for each in simulated
     ):
         return None
-    return {"heater_duty": [level] * asked.steps, "fan_on": [fan] * asked.steps}
+    return {"heater_duty": [level], "fan_on": [fan]}
 
 
 def _secant(before: tuple[float, float], last: tuple[float, float]) -> float:

@@ -94,7 +94,7 @@ def _limits(context: Context) -> str:
 def _tools(variant: LlmVariant, horizon: int) -> str:
     if not variant.assistance:
         return ""
-    return _SQL if variant.assistance == "sql" else f"{_SIMULATE} A set has up to {horizon} steps."
+    return _SQL if variant.assistance == "sql" else f"{_SIMULATE} A simulation goes {horizon} steps ahead."
 
 
 def _form(variant: LlmVariant) -> str:

@@ -19,6 +19,7 @@ from edge.formats.cross_check import Rule
 from edge.formats.reader import DocumentError, read
 
 NAME = "simulate"
+MOVES = 3  # different controls in a set, as planners block their moves: more cost tokens and hardly help
 DIGITS = 2  # of a temperature that is told: more are no knowledge, and cost tokens
 SAME_K = 0.51 * 10.0**-DIGITS  # two rollouts of one predictor under the same inputs differ by no more
 
@@ -48,18 +49,15 @@ class Simulator:
 
 @dataclass(frozen=True, slots=True)
 class SimulateArguments:
-    """Arguments of a call, one value per step; a list that is shorter holds its last value."""
+    """Arguments of a call: values for the first steps, the last of which holds for all later ones."""
 
     heater_duty: Annotated[tuple[Annotated[float, Rule(low=0.0, high=1.0)], ...], Rule(least=1)]
     fan_on: Annotated[tuple[bool, ...], Rule(least=1)]
 
-    def controls(self) -> list[tuple[float, bool]]:
+    def controls(self, steps: int) -> list[tuple[float, bool]]:
         """Return duty and fan of each step."""
         duty, fan = self.heater_duty, self.fan_on
-        return [
-            (duty[min(step, len(duty) - 1)], fan[min(step, len(fan) - 1)])
-            for step in range(max(len(duty), len(fan)))
-        ]
+        return [(duty[min(step, len(duty) - 1)], fan[min(step, len(fan) - 1)]) for step in range(steps)]
 
 
 class SimulateTool:
@@ -70,13 +68,13 @@ class SimulateTool:
         self._simulator = simulator
         self._targets = targets
         steps, step_s = simulator.horizon, simulator.context.step_s
-        numbers = {"type": "array", "minItems": 1, "maxItems": steps}
+        numbers = {"type": "array", "minItems": 1, "maxItems": MOVES}
         self.spec = ToolSpec(
             NAME,
-            f"Predicts the air temperature after each of the next steps of {step_s:g} s when these controls "
-            f"are applied, with the model {simulator.predictor.name}. Both lists have one value per step, "
-            f"1 to {steps}, the first for the step that begins now; a shorter list holds its last value. "
-            "Call it once for each set of controls that you consider.",
+            f"Predicts the air temperature after each of the next {steps} steps of {step_s:g} s when these "
+            f"controls are applied, with the model {simulator.predictor.name}. Each list has 1 to {MOVES} "
+            "values, the first for the step that begins now; its last value holds for all later steps. Call "
+            "it once for each set of controls that you consider.",
             {
                 "type": "object",
                 "properties": {
@@ -114,10 +112,10 @@ class SimulateTool:
             asked = read(SimulateArguments, arguments)
         except DocumentError as error:
             raise ToolError(str(error)) from None
-        controls = asked.controls()
-        if len(controls) > self._simulator.horizon:
-            raise ToolError(f"heater_duty, fan_on: must hold at most {self._simulator.horizon} values")
-        return np.array([[nearest_level(duty), float(fan)] for duty, fan in controls])
+        steps = self._simulator.horizon
+        if max(len(asked.heater_duty), len(asked.fan_on)) > steps:
+            raise ToolError(f"heater_duty, fan_on: must hold at most {steps} values")
+        return np.array([[nearest_level(duty), float(fan)] for duty, fan in asked.controls(steps)])
 
 
 def cited_forecast(answer: ModelAnswer, ledger: Ledger, simulator: Simulator) -> tuple[float, ...]:

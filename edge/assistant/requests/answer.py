@@ -39,12 +39,17 @@ SCHEMA = _object(
     {
         "reference": {
             "type": "array",
+            "maxItems": TARGETS_MAX,  # else a grammar lets a small model go on for ever
             "items": _object({"from": _CLOCK_TEXT, "degc": {"type": "number"}}),
         },
         "heater_penalty": _NUMBER_OR_NULL,
         "fan_penalty": _NUMBER_OR_NULL,
         "heater_max_duty": _NUMBER_OR_NULL,
-        "fan_rest": {"type": "array", "items": _object({"from": _CLOCK_TEXT, "until": _CLOCK_TEXT})},
+        "fan_rest": {
+            "type": "array",
+            "maxItems": RESTS_MAX,
+            "items": _object({"from": _CLOCK_TEXT, "until": _CLOCK_TEXT}),
+        },
         "hours": {"type": "number"},
         "understood": {"type": "string"},
         "question": {"type": "string"},

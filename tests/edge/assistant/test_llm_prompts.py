@@ -61,4 +61,4 @@ def test_a_script_reads_back_what_was_said() -> None:
     asked = read_prompt([{"role": "user", "content": text} for text in texts])
     assert asked is not None
     assert (asked.target, asked.current, asked.ambient, asked.heater_max) == (26.0, 24.04, 21.0, 0.62)
-    assert (asked.fan_on, asked.fan_held, asked.spare, asked.steps) == (True, True, True, 7)
+    assert (asked.fan_on, asked.fan_held, asked.spare) == (True, True, True)

@@ -72,11 +72,11 @@ def test_the_history_is_read_where_it_is_offered(tmp_path: Path) -> None:
 
 def test_a_cited_simulation_is_the_forecast(tmp_path: Path) -> None:
     proposal, _ = proposed(tmp_path, "LLM-Linear-Te0", SIMULATE, says_controls(simulation="simulate-1"))
-    assert len(proposal.forecast) == 2
+    assert len(proposal.forecast) == 10
     assert proposal.why["simulation"] == "simulate-1"
     assert proposal.why["model"] == f"{ARX.name} {ARX.version}"
     (call,) = proposal.why["tool_calls"]
-    assert (call["id"], call["heater_duty"], call["fan_on"], call["steps"]) == ("simulate-1", 0.3, False, 2)
+    assert (call["id"], call["heater_duty"], call["fan_on"], call["steps"]) == ("simulate-1", 0.3, False, 10)
 
 
 @pytest.mark.parametrize(

@@ -55,12 +55,12 @@ def kind_of(given: ModelAnswer, calls: Ledger, by: Simulator | None = None) -> s
 def test_a_simulation_is_the_predictors_rollout() -> None:
     found = asked([0.5, 0.5, 0.0], [False, True, False])
     here = context()
-    controls = np.array([[[0.5, 0.0], [0.5, 1.0], [0.0, 0.0]]])
-    ahead = ahead_of(here.history, 3, here.step_s) | {"offset": np.zeros(3)}
+    controls = np.array([[[0.5, 0.0], [0.5, 1.0], *[[0.0, 0.0]] * 8]])
+    ahead = ahead_of(here.history, HORIZON, here.step_s) | {"offset": np.zeros(HORIZON)}
     expected = ARX.rollout(pad(here.history, ARX.rows_needed), controls, ahead)[0]
     np.testing.assert_allclose(found["temp_air_c"], expected, atol=SAME_K)
     assert found["mean_abs_error_k"] == pytest.approx(np.abs(expected - 26.0).mean(), abs=1e-4)
-    assert found["target_c"] == [26.0] * 3
+    assert found["target_c"] == [26.0] * HORIZON
 
 
 def test_heat_warms_and_the_fan_cools() -> None:
@@ -78,18 +78,18 @@ def test_the_offset_of_the_estimator_is_added_each_step() -> None:
 
 def test_a_duty_between_levels_is_simulated_as_the_board_takes_it() -> None:
     found = asked([0.52], [False])
-    assert found["heater_duty"] == [0.5]
+    assert found["heater_duty"] == [0.5] * HORIZON
     assert found["temp_air_c"] == asked([0.5], [False])["temp_air_c"]
 
 
 @pytest.mark.parametrize(
     ("duties", "fans", "same"),
     [
-        ([0.5], [False, True, True], ([0.5] * 3, [False, True, True])),
-        ([0.5, 0.2, 0.0], [True], ([0.5, 0.2, 0.0], [True] * 3)),
+        ([0.5], [False, True], ([0.5] * HORIZON, [False] + [True] * 9)),
+        ([0.5, 0.2, 0.0], [True], ([0.5, 0.2] + [0.0] * 8, [True] * HORIZON)),
     ],
 )
-def test_a_shorter_list_holds_its_last_value(duties: Any, fans: Any, same: tuple[Any, Any]) -> None:
+def test_the_last_value_of_a_list_holds_to_the_horizon(duties: Any, fans: Any, same: tuple[Any, Any]) -> None:
     assert asked(duties, fans) == asked(*same)
 
 
@@ -154,4 +154,4 @@ def test_every_simulation_of_real_controls_can_be_cited(steps: list[tuple[float,
     duties, fans = [duty for duty, _ in steps], [fan for _, fan in steps]
     calls = ledger((duties, fans))
     first = calls.entries[0].result["heater_duty"][0]
-    assert len(cited_forecast(answer(first, fans[0]), calls, simulator())) == len(steps)
+    assert len(cited_forecast(answer(first, fans[0]), calls, simulator())) == HORIZON
