@@ -1,6 +1,6 @@
 """A controller's answer in JSON: what it must look like, and strictly nothing else."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,14 +43,17 @@ class SimulatedControls(SaidControls):
     simulation: str = ""
 
 
-def answer_schema(simulations: Sequence[str] | None) -> Schema:
+def answer_schema(simulations: Mapping[str, Command] | None) -> Schema:
     """Return the JSON schema of the answer. A strict schema lists every property as required.
 
-    simulations : ids that it may cite, empty while there is none; None where nothing is simulated
+    simulations : first controls of those that it may cite, by id; None where nothing is simulated
     """
+    first = list((simulations or {}).values())
+    levels = sorted({command.heater_duty for command in first}) or LEVELS
+    fans = sorted({command.fan_on for command in first}) or [False, True]
     properties: dict[str, Any] = {
-        "heater_duty": {"type": "number", "enum": LEVELS},
-        "fan_on": {"type": "boolean"},
+        "heater_duty": {"type": "number", "enum": levels},
+        "fan_on": {"type": "boolean"} | ({} if len(fans) > 1 else {"enum": fans}),
         "rationale": {"type": "string"},
     }
     if simulations is not None:

@@ -73,10 +73,6 @@ class Ledger:
         """Return the call with this id, None if there is none."""
         return next((entry for entry in self.entries if entry.id == cited), None)
 
-    def ids(self, tool: str) -> list[str]:
-        """Return the ids of all calls of one tool."""
-        return [entry.id for entry in self.entries if entry.tool == tool]
-
     def results(self, tool: str) -> list[Any]:
         """Return the results of all calls of one tool."""
         return [entry.result for entry in self.entries if entry.tool == tool]

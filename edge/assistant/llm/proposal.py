@@ -13,7 +13,7 @@ from edge.assistant.llm.ledger import AnsweredCall, Ledger, Tool, ToolError, dat
 from edge.assistant.llm.line import Interrupt
 from edge.assistant.llm.prompts import question, system_prompt
 from edge.assistant.llm.simulate_tool import NAME as SIMULATE
-from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast
+from edge.assistant.llm.simulate_tool import SimulateTool, Simulator, cited_forecast, first_controls
 from edge.assistant.llm.sql_tool import SqlTool
 from edge.assistant.llm.wire import (
     Message,
@@ -173,7 +173,7 @@ class Architecture:
             ],
             tools=self._tools(model, context, simulator),
             temperature=self.variant.temperature,
-            form=lambda ledger: answer_schema(None if simulator is None else ledger.ids(SIMULATE)),
+            form=lambda ledger: answer_schema(None if simulator is None else first_controls(ledger)),
         )
         end = "answered"
         try:

@@ -14,6 +14,7 @@ from edge.controllers.mpc import pad
 from edge.controllers.rollout_search import ahead_with_offset, forecast
 from edge.core.controller import Context, Floats
 from edge.core.errors import DataError
+from edge.core.messages import Command
 from edge.core.predictor import Predictor
 from edge.formats.cross_check import Rule
 from edge.formats.reader import DocumentError, read
@@ -118,6 +119,15 @@ class SimulateTool:
         return np.array([[nearest_level(duty), float(fan)] for duty, fan in asked.controls(steps)])
 
 
+def first_controls(ledger: Ledger) -> dict[str, Command]:
+    """Return the first controls of every simulation, by its id."""
+    return {
+        entry.id: Command(entry.result["heater_duty"][0], entry.result["fan_on"][0])
+        for entry in ledger.entries
+        if entry.tool == NAME
+    }
+
+
 def cited_forecast(answer: ModelAnswer, ledger: Ledger, simulator: Simulator) -> tuple[float, ...]:
     """Simulate an answer's controls again and return the temperatures behind it [°C].
 
@@ -128,13 +138,10 @@ def cited_forecast(answer: ModelAnswer, ledger: Ledger, simulator: Simulator) ->
     if entry is None or entry.tool != NAME:
         cited = repr(answer.simulation) if answer.simulation else "nothing"
         raise LlmFailure("uncited", f"the answer cites {cited}, which is no simulation it asked for")
-    result, command = entry.result, answer.command
-    first = (result["heater_duty"][0], result["fan_on"][0])
-    if first != (command.heater_duty, command.fan_on):
-        said = f"heater {command.heater_duty:g}, fan {command.fan_on}"
-        raise LlmFailure(
-            "unfaithful", f"{entry.id} begins with heater {first[0]:g}, fan {first[1]}, not {said}"
-        )
+    result, command, first = entry.result, answer.command, first_controls(ledger)[entry.id]
+    if (first.heater_duty, first.fan_on) != (command.heater_duty, command.fan_on):
+        begins, said = (f"heater {one.heater_duty:g}, fan {one.fan_on}" for one in (first, command))
+        raise LlmFailure("unfaithful", f"{entry.id} begins with {begins}, not {said}")
     controls = np.column_stack([result["heater_duty"], np.array(result["fan_on"], dtype=float)])
     again = simulator.temperatures(controls)
     if not np.abs(again - np.array(result["temp_air_c"])).max() <= SAME_K:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from edge.assistant.llm.answer import RATIONALE_MAX, answer_schema, nearest_level, read_answer
 from edge.assistant.llm.failure import KINDS, LlmFailure
+from edge.core.messages import Command
 
 GOOD: dict[str, Any] = {"heater_duty": 0.45, "fan_on": False, "rationale": "warm enough"}
 
@@ -86,7 +87,7 @@ def test_a_simulation_is_cited_where_there_are_any() -> None:
 
 def test_the_schema_asks_for_what_is_read() -> None:
     for with_simulation in (False, True):
-        schema = answer_schema([] if with_simulation else None).schema
+        schema = answer_schema({} if with_simulation else None).schema
         assert schema["required"] == list(schema["properties"])
         values = {**GOOD, **({"simulation": "simulate-1"} if with_simulation else {})}
         assert values.keys() == schema["properties"].keys()
@@ -94,10 +95,15 @@ def test_the_schema_asks_for_what_is_read() -> None:
 
 
 def test_the_schema_names_every_level_and_the_simulations_that_there_are() -> None:
-    properties = answer_schema(["simulate-1", "simulate-2"]).schema["properties"]
-    levels = properties["heater_duty"]["enum"]
+    levels = answer_schema(None).schema["properties"]["heater_duty"]["enum"]
     assert len(levels) == 21 and all(nearest_level(level) == level for level in levels)
+    simulated = {"simulate-1": Command(0.5, False), "simulate-2": Command(0.2, False)}
+    properties = answer_schema(simulated).schema["properties"]
     assert properties["simulation"]["enum"] == ["simulate-1", "simulate-2"]
+    assert properties["heater_duty"]["enum"] == [0.2, 0.5]
+    assert properties["fan_on"]["enum"] == [False]
+    either = answer_schema({**simulated, "simulate-3": Command(0.5, True)}).schema["properties"]
+    assert "enum" not in either["fan_on"]
 
 
 def test_line_ends_inside_a_text_are_spaces() -> None:
