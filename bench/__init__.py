@@ -1,8 +1,9 @@
 """Benchmarks; every figure of the manual is printed by one of these commands, or by `greenhouse-train`.
 
 models       rollout, twin: what a forecast takes
-controllers  mpc (and its plant two_node_box), clairvoyant, dqn, llm_closed_loop, llm_real_server (and its
-             llm_random_model); make_default_arx makes the packaged model
+controllers  mpc (and its plant two_node_box), clairvoyant, dqn, llm_local (a real language model; its
+             llm_gguf_name, llm_from_gguf), llm_closed_loop, llm_real_server (and its llm_random_model),
+             wishes/; make_default_arx makes the packaged model
 diagnosis    hidden_effects/, foreign/: cases with a truth; real_truth/: measured logs; calibrate and
              reliability: what a probability means; agreement: the same answer again; resolve_alias: the
              proposed experiment; drift_alarms; example_diagnosis (its runs: make_example_runs)

