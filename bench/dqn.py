@@ -30,15 +30,17 @@ from edge.twin.reference import rk45_rollout
 from edge.twin.twin_file import read_twin_file
 from training.data.datasets import training_runs
 from training.models.registry import NETWORK_FILE, TWIN_FILE
+from training.rl.algorithms.registry import ALGORITHMS, DQN
 from training.rl.boxes import START_ROWS, World
 from training.rl.command import POLICIES
+from training.rl.compare import JUDGED, JUDGED_SEED
 from training.rl.episodes import DrawnEpisodes
 from training.rl.models import Floats, Indices, StepModel, TwinModel
 from training.rl.read_model import ham_over, kept_folder, read_model
 from training.rl.reward import WEIGHTS
 from training.rl.saved_policy import FOLDERS, WEIGHTS_FILE, read_record
 from training.rl.settings import DqnSettings
-from training.rl.study import greedy, play, train
+from training.rl.study import greedy, play
 from training.rl.vec_env import BoxesVecEnv
 from training.rl.weights import load_q_network
 
@@ -46,9 +48,9 @@ VARIANT = "RL-Off"
 STEPS = 100_000
 SEEDS = range(5)
 OURS = DqnSettings(steps=STEPS)
+learn = ALGORITHMS[DQN].learn
 # Small batches, small steps; with explore_share as ours one of its five seeds diverges.
 PAPER = replace(OURS, boxes=1, updates=1, batch=64, learning_rate=5e-4, explore_share=0.4)
-JUDGED, JUDGED_SEED = 256, 30_001  # episodes in which nothing was tuned or chosen
 ENV_S = 3.0  # of CPU, for the environments' steps alone
 PACKAGES = ("stable-baselines3", "torch", "numpy", "scipy")
 BARE = 100  # steps before the first update while a share of a training is timed
@@ -101,7 +103,7 @@ def cost_of(model: StepModel, settings: DqnSettings, steps: int) -> tuple[float,
     """CPU and wall time [s] of STEPS steps of training, from `steps` of them, all with updates."""
     partial = replace(settings, steps=steps, learning_starts=BARE) if steps < STEPS else settings
     began, cpu = time.perf_counter(), time.process_time()
-    train(world(model), 0, partial)
+    learn(world(model), 0, partial)
     scale = STEPS / steps
     return (time.process_time() - cpu) * scale, (time.perf_counter() - began) * scale
 
@@ -113,7 +115,7 @@ def judge(network: nn.Module) -> float:
 
 def train_network(settings: DqnSettings, seed: int, steps: int) -> nn.Module:
     """Return a network after a training."""
-    return train(world(read_model("ham")), seed, replace(settings, steps=steps)).policy.q_net
+    return learn(world(read_model("ham")), seed, replace(settings, steps=steps))
 
 
 def saved_network(seed: int) -> nn.Module:
@@ -140,7 +142,7 @@ def main(words: Sequence[str] | None = None) -> None:
         f"# Of {STEPS} steps of training; the paper's way timed over {arguments.share:.0%} of them, scaled."
     )
     # Imports and caches are no part of the times.
-    train(world(read_model("ham")), 0, replace(OURS, steps=640, learning_starts=BARE))
+    learn(world(read_model("ham")), 0, replace(OURS, steps=640, learning_starts=BARE))
     print(f"{'':14s}{'env steps/s of CPU':>20s}{'CPU s':>10s}{'wall s':>10s}", flush=True)
     paper_steps = round(arguments.share * STEPS)
     costs = {}

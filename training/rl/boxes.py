@@ -39,6 +39,22 @@ class StepResult:
     fan: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class BoxesNow:
+    """What a planner may know before a step, [B] each; a policy knows the observation alone.
+
+    state : of the model, [B, ...]; variant : of the model; duty, fan : as driven in the last step
+    ambient, reference : [°C]
+    """
+
+    state: Floats
+    variant: NDArray[np.intp]
+    ambient: Floats
+    reference: Floats
+    duty: Floats
+    fan: Floats
+
+
 class EpisodeBoxes:
     """Episodes of B boxes; each ends and begins by itself."""
 
@@ -75,6 +91,18 @@ class EpisodeBoxes:
         """Return the table of all boxes now, [B, features]."""
         now = np.arange(self.count), self._step
         return observe(Recent(self._air, self._duty, self._fan, self._ambient[now], self._reference[now]))
+
+    def now(self) -> BoxesNow:
+        """Return what a planner may know."""
+        now = np.arange(self.count), self._step
+        return BoxesNow(
+            self._state,
+            self._variant,
+            self._ambient[now],
+            self._reference[now],
+            self._duty[:, -1],
+            self._fan[:, -1],
+        )
 
     def step(self, actions: NDArray[np.int64]) -> StepResult:
         """One action each; a box whose episode has ended is to be reset before its next."""

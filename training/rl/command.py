@@ -1,4 +1,4 @@
-"""`greenhouse-train rl`, `rl-online` and `rl-gap`: their arguments, and what they print."""
+"""`greenhouse-train rl`, `rl-online`, `rl-gap` and `rl-compare`: their arguments, and what they print."""
 
 import argparse
 from pathlib import Path
@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
 POLICIES = Path("training/results/policies")
 OFFLINE = ("RL-Off", "RL-Off-P")
 ONLINE = ("RL-On-P", "RL-Tr-P")
+USUAL = "DQN"  # algorithm
 MODELS = ("ham", "lstm", "pbm")
 VARIANTS = 32  # of a model whose parameters are drawn
 RIG_PATIENCE_S = 3600.0  # without a tick: another controller may decide for a while
@@ -26,6 +27,7 @@ def add_commands(commands: "Commands") -> None:
     _add_offline(commands.add_parser("rl", help=_offline.__doc__, description=_offline.__doc__))
     _add_online(commands.add_parser("rl-online", help=_online.__doc__, description=_online.__doc__))
     _add_gap(commands.add_parser("rl-gap", help=_gap.__doc__, description=_gap.__doc__))
+    _add_compare(commands.add_parser("rl-compare", help=_compare.__doc__, description=_compare.__doc__))
 
 
 def _add_offline(sub: argparse.ArgumentParser) -> None:
@@ -33,6 +35,7 @@ def _add_offline(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--model", default="ham", metavar="MODEL", help=f"{', '.join(MODELS)} or a twin file (usual: ham)"
     )
+    sub.add_argument("--algorithm", default=USUAL, metavar="NAME", help=f"usual: {USUAL}")
     sub.add_argument("--seed", type=int, nargs="+", default=(0, 1, 2, 3, 4), help="usual: 0 to 4")
     sub.add_argument(
         "--randomise", action="store_true", help="draw the twin's parameters within their intervals"
@@ -44,25 +47,28 @@ def _add_offline(sub: argparse.ArgumentParser) -> None:
 
 
 def _offline(arguments: argparse.Namespace) -> int:
-    """policies learnt in a predictive model: DQN of 100 000 steps"""
+    """policies learnt in a predictive model, by DQN or another algorithm of 100 000 steps"""
     from dataclasses import replace
 
-    from training.rl.settings import DqnSettings
+    from training.rl.algorithms.registry import algorithm_of
     from training.rl.study import PolicyJob
 
-    settings = DqnSettings()
+    settings = algorithm_of(arguments.algorithm).settings
     if arguments.steps is not None:
         settings = replace(settings, steps=arguments.steps)
     jobs = []
     for variant in arguments.variant:
         for seed in arguments.seed:
             words = f"greenhouse-train rl --variant {variant} --model {arguments.model} --seed {seed}"
+            words += f" --algorithm {arguments.algorithm}" if arguments.algorithm != USUAL else ""
             words += " --randomise" if arguments.randomise else ""
             words += f" --steps {arguments.steps}" if arguments.steps is not None else ""
             # Many boxes are seen only where asked for: one box is what the paper trains in.
             variants = VARIANTS if arguments.randomise else 1
-            job = PolicyJob(variant, arguments.model, seed, words, variants, settings)
-            folder = folder_of(arguments.out, variant, arguments.model, seed, arguments.randomise)
+            job = PolicyJob(variant, arguments.model, seed, words, variants, arguments.algorithm, settings)
+            folder = folder_of(
+                arguments.out, variant, arguments.model, seed, arguments.randomise, arguments.algorithm
+            )
             jobs.append((job, folder))
     sweep(
         _study,
@@ -172,15 +178,60 @@ def _gap(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def folder_of(out: Path, variant: str, model: str, seed: int, randomised: bool) -> Path:
+def _add_compare(sub: argparse.ArgumentParser) -> None:
+    runs, results = Path("out/control"), POLICIES.parent / "control"
+    sub.add_argument("--algorithm", nargs="+", metavar="NAME", help="usual: all of training/rl/algorithms")
+    sub.add_argument("--seed", type=int, nargs="+", default=(0, 1, 2, 3, 4), help="usual: 0 to 4")
+    sub.add_argument("--policies", type=Path, default=POLICIES, help=f"usual: {POLICIES}")
+    sub.add_argument("--runs", type=Path, default=runs, help=f"runs done before and now (usual: {runs})")
+    sub.add_argument(
+        "--results", type=Path, default=results, help=f"figures of all controllers (usual: {results})"
+    )
+    sub.add_argument("--out", type=Path, help="folder of the table (usual: among the policies)")
+    sub.set_defaults(run=_compare)
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    """policies of each learning algorithm, in fresh episodes and on the virtual rig, in one table"""
+    from training.data.datasets import training_runs
+    from training.rl.algorithms.registry import ALGORITHMS, algorithm_of
+    from training.rl.compare import VARIANT, JudgedPolicy, compare, head, text_of, write
+    from training.rl.read_model import REGIME
+    from training.rl.study import world_of
+
+    names = arguments.algorithm or list(ALGORITHMS)
+    for name in names:
+        algorithm_of(name)
+    policies = [
+        JudgedPolicy(name, folder_of(arguments.policies, VARIANT, "ham", seed, False, name))
+        for name in names
+        for seed in arguments.seed
+    ]
+    world = world_of(VARIANT, "ham", training_runs(REGIME))
+    found = []
+    for one in compare(policies, world, arguments.runs, arguments.results):
+        print(f"{one.algorithm} seed {one.seed}: x equal {one.regret:.2f}", flush=True)
+        found.append(one)
+    words = f"greenhouse-train rl-compare --algorithm {' '.join(names)}"
+    lines = head(f"{words} --seed {' '.join(map(str, arguments.seed))}", world)
+    write(found, lines, arguments.out or arguments.policies)
+    print(text_of(found, lines), end="")
+    return 0
+
+
+def folder_of(
+    out: Path, variant: str, model: str, seed: int, randomised: bool, algorithm: str = USUAL
+) -> Path:
     """Return the folder of a saved training under `out`."""
     where = f"{Path(model).stem}{'_randomised' if randomised else ''}"
+    where += "" if algorithm == USUAL else f"_{algorithm.lower()}"
     return out / variant.lower() / where / f"seed_{seed}"
 
 
 def _line(record: dict[str, Any]) -> str:
     played = record["metrics"]["validation"]
     return (
-        f"{record['variant']:9s} {record['model']:5s} seed {record['seed']}  MAE {played['mae_k']:.3f} K  "
+        f"{record['variant']:9s} {record['model']:5s} {record['algorithm']:8s} seed {record['seed']}  "
+        f"MAE {played['mae_k']:.3f} K  "
         f"reward {played['reward']:.3f}  {record['wall_s']:.1f} s ({record['cpu_s']:.1f} s of CPU)"
     )

@@ -56,7 +56,7 @@ def _gap(policy: OnnxPolicy, model: StepModel, seed: int) -> PolicyGap:
     weights = WEIGHTS[policy.name]
     earned = reward(judged.error_k, judged.duty[:-1], judged.fan[:-1], weights)
     world = World(model, RepeatedEpisode(episode_of(ticks)), weights)
-    played = play(_act(policy), world, count=1, seed=seed)
+    played = play(act_of(policy), world, count=1, seed=seed)
     return PolicyGap(played.mae_k, float(np.abs(judged.error_k).mean()), played.reward, float(earned.mean()))
 
 
@@ -67,7 +67,8 @@ def episode_of(ticks: Ticks) -> Episode:
     return Episode(judged.reference, judged.ambient, start)
 
 
-def _act(policy: OnnxPolicy) -> Act:
+def act_of(policy: OnnxPolicy) -> Act:
+    """Return the choice of a rig's file."""
     return lambda observations: policy.values(observations.astype(np.float64)).argmax(axis=1)
 
 

@@ -36,6 +36,7 @@ class StepModel(Protocol):
     name: str
     sha256: str
     variants: int
+    twins: Sequence[BoxTwin]  # the physics of each variant, none in a model without
 
     def start(self, window: Window, variant: Indices) -> Floats:
         """States [B, ...] at the windows' last row."""
@@ -56,12 +57,12 @@ class TwinModel:
 
     def __init__(self, twins: Sequence[BoxTwin], name: str = "twin") -> None:
         self.name, self.sha256, self.variants = name, twins[0].sha256, len(twins)
-        self._twins = twins
+        self.twins = twins
 
     def start(self, window: Window, variant: Indices) -> Floats:
         """As `StepModel.start`: found by each twin's Kalman filter."""
         states = [
-            state_now(self._twins[which], PastColumns(*(column[i] for column in _columns(window))))
+            state_now(self.twins[which], PastColumns(*(column[i] for column in _columns(window))))
             for i, which in enumerate(variant)
         ]
         return np.array(states)
@@ -78,11 +79,11 @@ class TwinModel:
     ) -> Floats:
         """Return the states a step later with a source of heat [K/s]."""
         if self.variants == 1:
-            return self._twins[0].advance(state, ambient, duty, fan, source)
+            return self.twins[0].advance(state, ambient, duty, fan, source)
         after = np.empty_like(state)
         for which in np.unique(variant):
             rows = variant == which
-            after[rows] = self._twins[which].advance(
+            after[rows] = self.twins[which].advance(
                 state[rows], ambient[rows], duty[rows], fan[rows], source[rows]
             )
         return after
@@ -93,7 +94,7 @@ class HamModel:
 
     def __init__(self, network: GuardedHamNet, physics: TwinModel, sha256: str) -> None:
         self.name, self.sha256, self.variants = "ham", sha256, physics.variants
-        self._network, self._physics = network.eval(), physics
+        self._network, self._physics, self.twins = network.eval(), physics, physics.twins
 
     def start(self, window: Window, variant: Indices) -> Floats:
         """As `StepModel.start`."""
@@ -118,6 +119,7 @@ class LstmModel:
     """The LSTM fed back over its window [B, WINDOW, 3]; it knows nothing of the room."""
 
     variants = 1
+    twins: Sequence[BoxTwin] = ()
 
     def __init__(self, network: LstmNet, sha256: str) -> None:
         self.name, self.sha256 = "lstm", sha256

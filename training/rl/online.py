@@ -318,7 +318,7 @@ def _finish(agent: DQN, job: OnlineJob, course: TrainingCourse, folder: Path) ->
         "seed": job.seed,
         "settings": asdict(job.settings) | {"begin_with": str(job.begin_with or "")},
         "metrics": {
-            "validation": asdict(validate(agent, job.variant, runs)),
+            "validation": asdict(validate(agent.policy.q_net, job.variant, runs)),
             "mae_k_while_learning": course.absolute_error_k / learnt_from,
             **{name: getattr(course, name) for name in ("starts", "steps", "used", "gaps")},
         },

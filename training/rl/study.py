@@ -1,5 +1,4 @@
-"""One training of one policy by deep Q-learning: the network, the file that a rig runs, the record of
-both.
+"""One training of one policy: the network, the file that a rig runs, the record of both.
 
 The file is read back as the rig reads it, golden observations and all, before it counts as written.
 """
@@ -8,7 +7,7 @@ import importlib.metadata
 import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from onnx import ModelProto
-from stable_baselines3 import DQN
-from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from edge.core.errors import DataError
@@ -30,13 +27,12 @@ from edge.models.policy_observation import FEATURES, table_sha256
 from training.data.datasets import training_runs
 from training.export.onnx_graph import Graph, real
 from training.models.study import versions
+from training.rl.algorithms.registry import ALGORITHMS, DQN
 from training.rl.boxes import START_ROWS, EpisodeBoxes, World
 from training.rl.episodes import DrawnEpisodes, recorded_observations
 from training.rl.read_model import REGIME, read_model
 from training.rl.reward import WEIGHTS
 from training.rl.saved_policy import POLICY_FILE, RECORD_FILE, WEIGHTS_FILE
-from training.rl.settings import DqnSettings, learner_arguments
-from training.rl.vec_env import BoxesVecEnv
 from training.rl.weights import save_q_network
 
 GOLDEN = 16  # observations, spread over the given ones
@@ -49,7 +45,7 @@ def export(
     facts: Mapping[str, Any],
     path: Path,
 ) -> OnnxPolicy:
-    """Write the Q-network to `path`, prove it, and return what the rig will run.
+    """Write the network to `path`, prove it, and return what the rig will run.
 
     network : linear layers with ReLU between, [B, features] -> [B, ACTIONS]
     observations : recorded ones [n, features]; the golden ones are among them
@@ -113,30 +109,6 @@ def play(act: Act, world: World, count: int = VALIDATION_BOXES, seed: int = VALI
     )
 
 
-def train(world: World, seed: int, settings: DqnSettings) -> DQN:
-    """Train a policy for `settings.steps` steps in the world's model."""
-    torch.set_num_threads(1)  # the same sums in the same order, on every machine of a kind
-    env = BoxesVecEnv(world, settings.boxes, seed, settings.reward_scale)
-    agent = make_agent(env, seed, settings)
-    agent.learn(settings.steps)
-    return agent
-
-
-def make_agent(env: BoxesVecEnv, seed: int, settings: DqnSettings) -> DQN:
-    """Untrained. stable-baselines3 counts `target_update_interval` in environment steps."""
-    first, last = settings.learning_rate, settings.final_learning_rate
-    agent = DQN(
-        "MlpPolicy",
-        env,
-        learning_rate=lambda left: last + (first - last) * left,
-        buffer_size=settings.buffer,
-        policy_kwargs={"net_arch": list(settings.hidden), "optimizer_kwargs": {"fused": True}},
-        **learner_arguments(settings, seed),
-    )
-    agent.set_logger(Logger(None, []))  # without one each run leaves a folder in /tmp
-    return agent
-
-
 def greedy(network: nn.Module) -> Act:
     """Return the function that picks the action of the highest value, of equal ones the first."""
 
@@ -156,6 +128,7 @@ class PolicyJob:
     """The policy to train.
 
     model : as `training.rl.read_model.read_model`; variants : of it, 1 without randomisation
+    algorithm : a key of ALGORITHMS; settings : of it, None for those in use
     """
 
     variant: str
@@ -163,7 +136,13 @@ class PolicyJob:
     seed: int
     command: str
     variants: int = 1
-    settings: DqnSettings = field(default_factory=DqnSettings)
+    algorithm: str = DQN
+    settings: Any = None
+
+    @property
+    def settings_used(self) -> Any:
+        """The job's own, or those that the algorithm is used with."""
+        return self.settings or ALGORITHMS[self.algorithm].settings
 
 
 def study(job: PolicyJob, folder: Path) -> dict[str, Any]:
@@ -172,9 +151,9 @@ def study(job: PolicyJob, folder: Path) -> dict[str, Any]:
     world = world_of(job.variant, job.model, runs, job.variants)
     # Both clocks: on a shared machine wall time alone says little.
     began, cpu = time.perf_counter(), time.process_time()
-    agent = train(world, job.seed, job.settings)
+    network = ALGORITHMS[job.algorithm].learn(world, job.seed, job.settings_used)
     wall_s, cpu_s = time.perf_counter() - began, time.process_time() - cpu
-    played = validate(agent, job.variant, runs, job.model)
+    played = validate(network, job.variant, runs, job.model)
     facts = {
         "variant": job.variant,
         "sample_s": SAMPLE_S,
@@ -183,11 +162,12 @@ def study(job: PolicyJob, folder: Path) -> dict[str, Any]:
         "data_sha256": data_sha256(runs),
         "command": job.command,
         "seed": job.seed,
-        "settings": asdict(job.settings) | {"variants": job.variants},
+        "settings": asdict(job.settings_used) | {"variants": job.variants},
         "metrics": {"validation": asdict(played)},
     }
-    policy = keep(agent.policy.q_net.q_net, facts, runs, folder)
+    policy = keep(network, facts, runs, folder)
     record = facts | {
+        "algorithm": job.algorithm,
         "policy": policy.version,
         "table_sha256": table_sha256(),
         "wall_s": wall_s,
@@ -203,9 +183,9 @@ def world_of(variant: str, model: str, runs: list[RecordedRun], variants: int = 
     return World(read_model(model, variants), DrawnEpisodes(runs, START_ROWS), WEIGHTS[variant])
 
 
-def validate(agent: DQN, variant: str, runs: list[RecordedRun], model: str = "ham") -> PlayMeans:
+def validate(network: nn.Module, variant: str, runs: list[RecordedRun], model: str = "ham") -> PlayMeans:
     """Play validation episodes in a model whose parameters are as fitted."""
-    return play(greedy(agent.policy.q_net), world_of(variant, model, runs))
+    return play(greedy(network), world_of(variant, model, runs))
 
 
 def keep(network: nn.Sequential, facts: dict[str, Any], runs: list[RecordedRun], folder: Path) -> OnnxPolicy:
@@ -218,5 +198,5 @@ def keep(network: nn.Sequential, facts: dict[str, Any], runs: list[RecordedRun],
 def software() -> dict[str, str]:
     """Return the versions that a policy depends on."""
     return versions() | {
-        name: importlib.metadata.version(name) for name in ("stable-baselines3", "gymnasium")
+        name: importlib.metadata.version(name) for name in ("stable-baselines3", "sb3-contrib", "gymnasium")
     }

@@ -14,12 +14,13 @@ from edge.models.onnx_policy import read_policy
 from edge.models.policy_actions import ACTIONS
 from edge.models.policy_observation import FEATURES
 from training.data.datasets import training_runs
+from training.rl.algorithms.registry import ALGORITHMS, DQN
 from training.rl.episodes import recorded_observations
 from training.rl.parity import main as tell_parity
 from training.rl.parity import parity
 from training.rl.saved_policy import POLICY_FILE, WEIGHTS_FILE, best_folder
 from training.rl.settings import DqnSettings
-from training.rl.study import PolicyJob, export, graph_of, greedy, study, train, world_of
+from training.rl.study import PolicyJob, export, graph_of, greedy, play, study, world_of
 from training.rl.weights import load_q_network, save_q_network
 
 POLICIES = Path(__file__).parents[3] / "training" / "results" / "policies"
@@ -42,18 +43,16 @@ def observations(runs):
 
 def test_the_same_seed_gives_the_same_policy_and_another_another(runs):
     world = world_of("RL-Off", "pbm", runs)
-    weights = [train(world, seed, SMALL).policy.q_net.q_net[0].weight.detach().numpy() for seed in (1, 1, 2)]
+    weights = [ALGORITHMS[DQN].learn(world, seed, SMALL)[0].weight.detach().numpy() for seed in (1, 1, 2)]
     assert np.array_equal(weights[0], weights[1])
     assert not np.array_equal(weights[0], weights[2])
 
 
 def test_a_training_learns(runs):
     """In 8000 steps, to hold the box better than any one action does."""
-    from training.rl.study import play
-
     world = world_of("RL-Off", "pbm", runs)
-    agent = train(world, 1, replace(SMALL, steps=8000, hidden=(64,), batch=128, updates=2))
-    learnt = play(greedy(agent.policy.q_net), world, count=16).reward
+    network = ALGORITHMS[DQN].learn(world, 1, replace(SMALL, steps=8000, hidden=(64,), batch=128, updates=2))
+    learnt = play(greedy(network), world, count=16).reward
     fixed = [
         play(lambda seen, action=action: np.full(len(seen), action), world, count=16).reward
         for action in range(2, 14, 2)
@@ -62,7 +61,7 @@ def test_a_training_learns(runs):
 
 
 def test_a_training_is_kept_with_its_record(tmp_path, runs):
-    record = study(PolicyJob("RL-Off-P", "pbm", 4, "greenhouse-train rl", 1, SMALL), tmp_path / "a")
+    record = study(PolicyJob("RL-Off-P", "pbm", 4, "greenhouse-train rl", settings=SMALL), tmp_path / "a")
     kept = json.loads((tmp_path / "a" / "record.json").read_text())
     assert kept == json.loads(json.dumps(record))
     assert (kept["variant"], kept["seed"], kept["settings"]["steps"]) == ("RL-Off-P", 4, 480)
