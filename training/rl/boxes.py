@@ -41,7 +41,7 @@ class StepResult:
 
 @dataclass(frozen=True, slots=True)
 class BoxesNow:
-    """What a planner may know before a step, [B] each; a policy knows the observation alone.
+    """Knowledge of a planner before a step, [B] each; a policy knows the observation alone.
 
     state : of the model, [B, ...]; variant : of the model; duty, fan : as driven in the last step
     ambient, reference : [°C]
@@ -93,7 +93,7 @@ class EpisodeBoxes:
         return observe(Recent(self._air, self._duty, self._fan, self._ambient[now], self._reference[now]))
 
     def now(self) -> BoxesNow:
-        """Return what a planner may know."""
+        """Return the knowledge of a planner."""
         now = np.arange(self.count), self._step
         return BoxesNow(
             self._state,

@@ -66,7 +66,7 @@ class JudgedPolicy:
 
     @property
     def file(self) -> Path:
-        """What a rig runs."""
+        """File that a rig runs."""
         return self.folder / POLICY_FILE
 
     def job(self, record: Record) -> ComparisonJob:
