@@ -30,14 +30,13 @@ def trial_lines(algorithm: Algorithm) -> Iterator[str]:
         network = algorithm.learn(world_of(VARIANT, MODEL, runs), SEED, trial)
         cpu_s = time.process_time() - cpu
         played = validate(network, VARIANT, runs, MODEL)
-        chosen = "*" if trial == algorithm.settings else " "
         figures = f"{played.mae_k:8.4f} {played.reward:9.4f} {cpu_s:8.1f}"
-        yield f"{chosen} {figures}  {_changes(usual, asdict(trial))}"
+        yield f"  {figures}  {_changes(usual, asdict(trial))}"
 
 
 def _changes(usual: dict[str, Any], trial: dict[str, Any]) -> str:
     changed = ", ".join(f"{name} {value}" for name, value in trial.items() if value != usual[name])
-    return changed or f"the first one: {usual}"
+    return changed or "the first one: " + ", ".join(f"{name} {value}" for name, value in usual.items())
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -54,7 +53,7 @@ def main(words: Sequence[str] | None = None) -> int:
         print(f"python -m training.rl.tune: {name} has no trials", file=sys.stderr)
         return 2
     print(f"# python -m training.rl.tune {name}: {VARIANT} in {MODEL}, seed {SEED}, validation episodes")
-    print("# MAE [K], reward of a step, CPU time [s], settings that differ from the first; * in use")
+    print("# MAE [K], reward of a step, CPU time [s], settings that differ from the first")
     for line in trial_lines(algorithm):
         print(line, flush=True)
     return 0
