@@ -114,7 +114,9 @@ def _on_rig(job: ComparisonJob, like: str, runs: Path, known: Results) -> dict[s
     run_all([job], runs, workers=0)
     log = read_run(job, runs)
     if log.instead:
-        raise DataError(f"{job}: a fallback drove the rig: {dict(log.instead)}")
+        raise DataError(
+            f"{job}: a fallback drove the rig: {dict(log.instead)}: delete {job.folder(runs)} and run again"
+        )
     found = figures(log)
     return {
         "rig_mae_k": found.mae_true,
