@@ -32,13 +32,14 @@ from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin
 from training.data.datasets import training_runs
 from training.export.network_export import ExportFacts, export
-from training.export.onnx_step import Network, single_step
+from training.export.onnx_step import single_step
 from training.models.ham import STEP_S, HamNet
 from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import WINDOW, LstmNet
+from training.models.lstm import LstmNet
 from training.models.pbm import FITTED
-from training.models.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
+from training.models.predictors import Network, eager
 from training.models.twin_step import TwinStep
+from training.models.window_network import WINDOW, WindowNet
 
 BATCHES = (1, 42, 2000)
 HORIZON = 20
@@ -73,8 +74,7 @@ def ways(network: Network, run: RecordedRun, folder: Path) -> dict[str, Way]:
     history, ahead = past_and_coming(run)
     facts = ExportFacts("bench", 0, "", box_of([run.columns], keys("ham")), {}, _twin_sha256(network))
     graph = export(network, facts, run, folder / "model.onnx")
-    eager = {LstmNet: LstmPredictor, HamNet: HamPredictor, GuardedHamNet: GuardedHamPredictor}[type(network)]
-    if isinstance(network, LstmNet):
+    if isinstance(network, WindowNet):
         stepped = _lstm_steps(network, history, ahead)
     else:
         stepped = _ham_steps(network, history, ahead)
@@ -86,7 +86,7 @@ def ways(network: Network, run: RecordedRun, folder: Path) -> dict[str, Way]:
 
 
 def _twin_sha256(network: Network) -> str:
-    return "" if isinstance(network, LstmNet) else "bench"
+    return "" if isinstance(network, WindowNet) else "bench"
 
 
 def _call(predictor: Predictor, history: Columns, ahead: Columns) -> Way:
@@ -99,7 +99,7 @@ def _step_session(network: Network) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(single_step(network).SerializeToString(), options)
 
 
-def _lstm_steps(network: LstmNet, history: Columns, ahead: Columns) -> Way:
+def _lstm_steps(network: WindowNet, history: Columns, ahead: Columns) -> Way:
     session = _step_session(network)
     start = np.stack([history[name] for name in ("temp_air", "heater_duty", "fan_on")], axis=-1)
 

@@ -21,9 +21,11 @@ from edge.formats.reader import parse_json, read
 KEY = "greenhouse_contract"  # of the metadata
 FEATURES = {  # kind -> columns of the window, in their order
     "lstm": ("temp_air", "heater_duty", "fan_on"),
+    "window": ("temp_air", "heater_duty", "fan_on"),  # any other network of the same window
     "ham": ("temp_air", "temp_ambient", "heater_duty", "fan_on"),
     "ham_guarded": ("temp_air", "temp_ambient", "heater_duty", "fan_on"),
 }
+WITHOUT_A_TWIN = ("lstm", "window")
 STEP_TOLERANCE_K = 1e-4  # golden vectors of one step
 ROLLOUT_TOLERANCE_K = 1e-3  # of more steps
 ROWS_MAX = 120  # of history, see `edge.core.predictor.Predictor`
@@ -108,7 +110,7 @@ class ContractDocument(CheckedDocument):
     """The document, key by key; those without a type are for people."""
 
     contract: Literal[1]
-    kind: Literal["lstm", "ham", "ham_guarded"]
+    kind: Literal["lstm", "window", "ham", "ham_guarded"]
     features: tuple[str, ...]
     units: Mapping[str, str]
     sample_s: Annotated[float, Rule(above=0.0)]
@@ -134,7 +136,7 @@ class ContractDocument(CheckedDocument):
         for key, (low, high) in self.validity.items():
             if not low <= high:
                 self.refuse(f"validity.{key}", f"{low:g}, {high:g} are not a lowest and a highest value")
-        if self.kind != "lstm" and not self.twin_sha256:
+        if self.kind not in WITHOUT_A_TWIN and not self.twin_sha256:
             self.refuse("twin_sha256", f"{quote(self.twin_sha256)} is no hash of a twin")
 
 
@@ -152,7 +154,7 @@ def parse_contract(text: str) -> Contract:
         step_tolerance_k=found.tolerance.step_k,
         rollout_tolerance_k=found.tolerance.rollout_k,
         golden=golden,
-        twin_sha256="" if found.kind == "lstm" else found.twin_sha256 or "",
+        twin_sha256="" if found.kind in WITHOUT_A_TWIN else found.twin_sha256 or "",
         facts={key: getattr(found, key) for key in _FACTS},
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 from edge.core.errors import DataError
 from edge.core.predictor import Columns, Floats
 from edge.formats.input_file import MODEL, Source, read_file
-from edge.models.contract import KEY, Contract, parse_contract
+from edge.models.contract import KEY, WITHOUT_A_TWIN, Contract, parse_contract
 
 
 def open_session(content: bytes) -> Any:
@@ -38,7 +38,7 @@ def one_line(error: Exception) -> str:
 
 
 # Sequences per call: states and gates of more of the LSTM's leave the cache, and each costs twice as much.
-BATCH = {"lstm": 64, "ham": 1024, "ham_guarded": 1024}
+BATCH = {"lstm": 64, "window": 64, "ham": 1024, "ham_guarded": 1024}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,9 +199,10 @@ def read_ham(path: Source, twin_sha256: str, step_s: float | None = None) -> Onn
 
 
 def read_lstm(path: Source, step_s: float | None = None) -> OnnxPredictor:
-    """Read the predictor "lstm" in `path`, proved by its golden vectors.
+    """Read the predictor "lstm" in `path`, proved by its golden vectors; its `kind` is "window" where the
+    file holds another network of the same window.
 
     step_s : the control step that it has to be made for [s], None for any
     Errors : DataError that names the file and the key
     """
-    return read_onnx(path, "lstm", ("lstm",), step_s)
+    return read_onnx(path, "lstm", WITHOUT_A_TWIN, step_s)

@@ -26,10 +26,12 @@ from edge.twin.fit import TwinFit, fit_twin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from training.data.datasets import Split
-from training.models import ham_guarded, lstm
+from training.models import ham_guarded
 from training.models.fit_network import make_deterministic
-from training.models.predictors import GuardedHamPredictor, LstmPredictor
+from training.models.lstm import LstmNet
+from training.models.predictors import GuardedHamPredictor, WindowPredictor
 from training.models.rollout import START_ROWS
+from training.models.window_network import WindowSettings, train_on
 from training.reports.report_tables import spread
 
 STEP_S = 10.0
@@ -205,8 +207,8 @@ def _steps() -> tuple[int, ...]:
 
 
 def _lstm(parts: Split, seed: int, increment: bool) -> Predictor:
-    settings = lstm.LstmSettings(predicts_increment=increment)
-    return LstmPredictor(lstm.train_on(parts, seed, settings)[0])
+    settings = WindowSettings(predicts_increment=increment)
+    return WindowPredictor(train_on(LstmNet, parts, seed, settings)[0])
 
 
 def _ham(parts: Split, box: FittedBox, seed: int, guarded: bool) -> Predictor:

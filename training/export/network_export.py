@@ -27,14 +27,16 @@ from training.data.datasets import training_runs
 from training.data.pairs import split_all
 from training.export.ham_graph import ham_rollout
 from training.export.lstm_graph import lstm_rollout
-from training.export.onnx_step import Network, single_step
+from training.export.onnx_step import single_step
+from training.export.window_graph import window_rollout
 from training.models.ham import HamNet
 from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import WINDOW, LstmNet
-from training.models.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
+from training.models.lstm import LstmNet
+from training.models.predictors import Network, eager
 from training.models.registry import NETWORK_FILE
 from training.models.study import RESULT_FILE, versions
 from training.models.weights import load_network
+from training.models.window_network import WINDOW, WindowNet
 
 GOLDEN_STEPS = 8  # single steps, spread over the run
 GOLDEN_BATCH, GOLDEN_HORIZON = 3, 20
@@ -65,18 +67,19 @@ def export(network: Network, facts: ExportFacts, run: RecordedRun, path: Path) -
     run : the golden vectors are forecasts of it: the whole run from its first rows, some shorter
     Errors : DataError for a run that is too short or has holes, and when the graph misses the network
     """
-    kind, window, model, eager = _parts(network)
+    predictor = eager(network)
+    kind, model = predictor.name, _graph(network)
     document = {
         "contract": 1,
         "kind": kind,
         "features": list(contract.FEATURES[kind]),
         "units": contract.units(kind),
         "sample_s": facts.sample_s,
-        "window": window,
+        "window": predictor.rows_needed,
         "scaler": {name: getattr(network, name).tolist() for name in _SCALERS if hasattr(network, name)},
         "validity": {key: list(facts.validity[key]) for key in contract.keys(kind)},
         "tolerance": {"step_k": contract.STEP_TOLERANCE_K, "rollout_k": contract.ROLLOUT_TOLERANCE_K},
-        "golden": golden_vectors(eager, contract.FEATURES[kind], run),
+        "golden": golden_vectors(predictor, contract.FEATURES[kind], run),
         "twin_sha256": facts.twin_sha256,
         "data_sha256": facts.data_sha256,
         "command": facts.command,
@@ -87,29 +90,29 @@ def export(network: Network, facts: ExportFacts, run: RecordedRun, path: Path) -
     # The contract travels inside the file: a graph and its scaler can't be mixed up.
     model.metadata_props.add(key=contract.KEY, value=json.dumps(document, allow_nan=False))
     write_atomically(path, model.SerializeToString(deterministic=True))
-    if kind == "lstm":
+    if isinstance(network, WindowNet):
         return read_lstm(path, facts.sample_s)
     return read_ham(path, facts.twin_sha256, facts.sample_s)
 
 
-def _parts(network: Network) -> tuple[str, int, ModelProto, Predictor]:
-    """Kind, rows of the window, graph, and the same in eager torch."""
-    network.eval()
+def _graph(network: Network) -> ModelProto:
     match network:
-        case LstmNet():
-            return "lstm", WINDOW, lstm_rollout(network, WINDOW), LstmPredictor(network)
+        case LstmNet():  # a graph of its own that is faster than the general one
+            return lstm_rollout(network, WINDOW)
+        case WindowNet():
+            return window_rollout(network)
         case HamNet():
-            return "ham", 1, ham_rollout(network, 1), HamPredictor(network)
+            return ham_rollout(network, 1)
         case GuardedHamNet():
-            return "ham_guarded", WINDOW, ham_rollout(network, WINDOW), GuardedHamPredictor(network)
+            return ham_rollout(network, WINDOW)
 
 
-def golden_vectors(eager: Predictor, features: Sequence[str], run: RecordedRun) -> list[dict[str, Any]]:
+def golden_vectors(predictor: Predictor, features: Sequence[str], run: RecordedRun) -> list[dict[str, Any]]:
     """Rollouts of the network itself: the whole run, single steps all over it, and a batch; JSON values."""
     columns = {name: values for name, values in inside_names(run).items() if name in contract.FEATURES["ham"]}
     if any(not np.isfinite(values).all() for values in columns.values()):
         raise DataError(f"{run.path}: golden vectors need a run without missing readings")
-    first, last = eager.rows_needed - 1, len(run) - 1
+    first, last = predictor.rows_needed - 1, len(run) - 1
     if last - first < GOLDEN_BATCH * GOLDEN_HORIZON:
         raise DataError(f"{run.path}: {len(run)} rows are too few for golden vectors")
     inputs = np.stack([columns["heater_duty"], columns["fan_on"]], axis=-1)
@@ -118,16 +121,16 @@ def golden_vectors(eager: Predictor, features: Sequence[str], run: RecordedRun) 
     starts = np.linspace(first, last - 1, GOLDEN_STEPS).astype(int)
     asked = [(first, inputs[None, first:last]), (first, batch)]
     asked += [(int(now), inputs[None, now : now + 1]) for now in starts]
-    return [_golden(eager, features, columns, now, controls) for now, controls in asked]
+    return [_golden(predictor, features, columns, now, controls) for now, controls in asked]
 
 
 def _golden(
-    eager: Predictor, features: Sequence[str], columns: Mapping[str, Any], now: int, controls: Any
+    predictor: Predictor, features: Sequence[str], columns: Mapping[str, Any], now: int, controls: Any
 ) -> dict[str, Any]:
     """Return the rollout of `controls` [B, N, 2] from row `now`."""
-    history = {name: values[now + 1 - eager.rows_needed : now + 1] for name, values in columns.items()}
+    history = {name: values[now + 1 - predictor.rows_needed : now + 1] for name, values in columns.items()}
     ambient = columns["temp_ambient"][now : now + controls.shape[1]]
-    temps = eager.rollout(history, controls, {"temp_ambient": ambient})
+    temps = predictor.rollout(history, controls, {"temp_ambient": ambient})
     return {
         "window": np.stack([history[name] for name in features], axis=-1).tolist(),
         "ambient": ambient.tolist(),

@@ -12,10 +12,10 @@ from torch import Tensor, nn
 from training.export.onnx_graph import OPSET, Graph, real
 from training.models.ham import HamNet
 from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import WINDOW, LstmNet
+from training.models.predictors import Network
+from training.models.window_network import COLUMNS, WINDOW, WindowNet
 
 Hybrid = HamNet | GuardedHamNet
-Network = LstmNet | Hybrid
 HAM_FEATURES = 4  # temp_air, temp_ambient, heater_duty, fan_on
 _BATCH = 3  # traced as any number
 
@@ -51,11 +51,11 @@ class GuardedHamStart(nn.Module):
 def single_step(network: Network) -> ModelProto:
     """One step, for any B, with the output `next`.
 
-    The LSTM's has the input window [B, 10, 3] and gives [B] [°C]. A hybrid's has state [B, S], ambient, duty
-    and fan [B] and gives the next state [B, S], column 0 the air temperature [°C].
+    A window network's has the input window [B, 10, 3] and gives [B] [°C]. A hybrid's has state [B, S],
+    ambient, duty and fan [B] and gives the next state [B, S], column 0 the air temperature [°C].
     """
-    if isinstance(network, LstmNet):
-        return _to_onnx(network, {"window": torch.rand(_BATCH, WINDOW, 3)}, batched=True)
+    if isinstance(network, WindowNet):
+        return _to_onnx(network, {"window": torch.rand(_BATCH, WINDOW, len(COLUMNS))}, batched=True)
     states = network.twin.transition.shape[1] if isinstance(network, GuardedHamNet) else 1
     inputs = {"state": torch.full((_BATCH, states), 25.0)}
     inputs |= {name: torch.rand(_BATCH) for name in ("ambient", "duty", "fan")}

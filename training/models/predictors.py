@@ -6,27 +6,29 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from edge.core.predictor import Columns, Floats
+from edge.core.predictor import Columns, Floats, Predictor
 from training.models.ham import HamNet
 from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import WINDOW, LstmNet
+from training.models.window_network import COLUMNS, WINDOW, WindowNet
 
+Network = WindowNet | HamNet | GuardedHamNet
 Advance = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]  # state, ambient, duty, fan -> state
 
 
-class LstmPredictor:
-    """The LSTM fed back: each prediction enters the window of the next."""
+class WindowPredictor:
+    """A network of a window fed back: each prediction enters the window of the next."""
 
-    name, version, step_s, rows_needed = "lstm", "eager", 60.0, WINDOW
+    version, step_s, rows_needed = "eager", 60.0, WINDOW
 
-    def __init__(self, network: LstmNet) -> None:
+    def __init__(self, network: WindowNet) -> None:
+        self.name = network.kind
         self._network = network.eval()
 
     @torch.no_grad()
     def rollout(self, history: Columns, controls: Floats, ahead: Columns) -> Floats:
         """As `edge.core.predictor.Predictor.rollout`."""
         inputs = torch.from_numpy(controls).float()
-        window = _tail(history, ("temp_air", "heater_duty", "fan_on"), WINDOW).repeat(len(inputs), 1, 1)
+        window = _tail(history, COLUMNS, WINDOW).repeat(len(inputs), 1, 1)
         temps = []
         for k in range(inputs.shape[1]):
             window[:, -1, 1:] = inputs[:, k]
@@ -68,6 +70,17 @@ class GuardedHamPredictor:
         start = self._network.start(*(window[None, :, i] for i in range(len(names))))
         states = _advance(self._network, start.repeat(len(controls), 1), controls, ahead)
         return _stack([state[:, 0] for state in states])
+
+
+def eager(network: Network) -> Predictor:
+    """Return the predictor of any trained network; its `name` is the kind of the exported file."""
+    match network:
+        case WindowNet():
+            return WindowPredictor(network)
+        case HamNet():
+            return HamPredictor(network)
+        case GuardedHamNet():
+            return GuardedHamPredictor(network)
 
 
 def _advance(step: Advance, state: Tensor, controls: Floats, ahead: Mapping[str, Floats]) -> list[Tensor]:

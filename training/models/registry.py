@@ -17,11 +17,13 @@ from edge.models.pbm import Pbm
 from edge.twin.fit import fit_twin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from training.data.pairs import split_all
-from training.models import ham, ham_guarded, linear, lstm, pbm
+from training.models import ham, ham_guarded, linear, pbm
 from training.models.fit_network import Progress
-from training.models.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
+from training.models.lstm import LstmNet
+from training.models.predictors import GuardedHamPredictor, HamPredictor, WindowPredictor
 from training.models.study import Train, TrainedModel
 from training.models.weights import save_network
+from training.models.window_network import WindowNet, WindowSettings, train
 
 NETWORK_FILE, TWIN_FILE, ARX_FILE = "network.pt", "twin.yaml", "arx.json"
 
@@ -59,11 +61,16 @@ def _save_twin(file: TwinFile, out: Path, facts: Mapping[str, Any]) -> None:
     write_twin_file(replace(file, provenance=dict(facts)), out / TWIN_FILE)
 
 
-def _lstm(
-    settings: lstm.LstmSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
+def train_window(
+    network_type: type[WindowNet],
+    settings: WindowSettings,
+    runs: Sequence[RecordedRun],
+    seed: int,
+    log: Path | None,
 ) -> TrainedModel:
-    network, progress = lstm.train(runs, seed, settings, log)
-    return _trained_model(LstmPredictor(network), network, settings, progress)
+    """Train a network of a window, as `Train` wants it when the first two arguments are bound."""
+    network, progress = train(network_type, runs, seed, settings, log)
+    return _trained_model(WindowPredictor(network), network, settings, progress)
 
 
 def _ham(settings: ham.HamSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None) -> TrainedModel:
@@ -145,13 +152,13 @@ def _trained_model(
 MODELS: Mapping[str, Train] = {
     "linear": partial(_linear, linear.LinearSettings()),
     "pbm": partial(_pbm, pbm.PbmSettings()),
-    "lstm": partial(_lstm, lstm.LstmSettings()),
+    "lstm": partial(train_window, LstmNet, WindowSettings()),
     "ham": partial(_ham, ham.HamSettings()),
     "pbm_fitted": partial(_pbm, pbm.ONE_MASS),
     # Ours, beyond the paper:
     "linear_ambient": partial(_linear, linear.WITH_AMBIENT),
     "twin": partial(_pbm, pbm.FITTED),
-    "lstm_increment": partial(_lstm, lstm.LstmSettings(predicts_increment=True)),
+    "lstm_increment": partial(train_window, LstmNet, WindowSettings(predicts_increment=True)),
     "ham_guarded": partial(_train_guarded, ham_guarded.GuardedHamSettings()),
 }
 TWIN_GIVEN, HAM_GIVEN = "twin_given", "ham_given"

@@ -12,10 +12,8 @@ from edge.core.errors import DataError
 from edge.core.predictor import Predictor
 from edge.models.arx_file import read_arx
 from edge.models.pbm import read_twin
-from training.models.ham import HamNet
 from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import LstmNet
-from training.models.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
+from training.models.predictors import GuardedHamPredictor, eager
 from training.models.registry import ARX_FILE, MODELS, NETWORK_FILE, TWIN_FILE
 from training.models.study import RESULT_FILE, SCENARIOS, Regime
 from training.models.weights import load_network
@@ -101,13 +99,7 @@ def _read(folder: Path, model: str, regime: Regime) -> SavedTraining:
 def _predictor(folder: Path) -> Predictor:
     if (folder / NETWORK_FILE).exists():
         network, _ = load_network(folder / NETWORK_FILE)
-        match network:
-            case LstmNet():
-                return LstmPredictor(network)
-            case HamNet():
-                return HamPredictor(network)
-            case GuardedHamNet():
-                return GuardedHamPredictor(network)
+        return eager(network)
     if (folder / ARX_FILE).exists():
         return read_arx(folder / ARX_FILE)
     return read_twin(folder / TWIN_FILE)

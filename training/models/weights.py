@@ -2,6 +2,7 @@
 
 import pickle
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,14 @@ from edge.core.errors import DataError
 from edge.twin.geometry import Geometry
 from training.models.ham import STEP_S, HamNet
 from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import LstmNet
+from training.models.networks import NETWORKS
+from training.models.predictors import Network
 from training.models.twin_step import TwinStep
+from training.models.window_network import WindowNet
 
 FORMAT = 1
 # Kept before a twin in a graph could have a sensor with a bias: it had none.
 _SINCE = {"twin.room_shift": torch.zeros(())}
-
-TrainedNet = LstmNet | HamNet | GuardedHamNet
 
 
 def save_network(network: nn.Module, path: Path, facts: Mapping[str, Any]) -> None:
@@ -29,6 +30,7 @@ def save_network(network: nn.Module, path: Path, facts: Mapping[str, Any]) -> No
             "format": FORMAT,
             "kind": type(network).__name__,
             "predicts_increment": getattr(network, "predicts_increment", False),
+            "hidden": getattr(network, "hidden", None),
             "weights": network.state_dict(),
             "facts": dict(facts),
         },
@@ -36,7 +38,7 @@ def save_network(network: nn.Module, path: Path, facts: Mapping[str, Any]) -> No
     )
 
 
-def load_network(path: Path) -> tuple[TrainedNet, dict[str, Any]]:
+def load_network(path: Path) -> tuple[Network, dict[str, Any]]:
     """Load the network in evaluation mode, and its facts. Errors: DataError for an invalid file"""
     try:
         content = torch.load(path, weights_only=True)
@@ -51,10 +53,11 @@ def load_network(path: Path) -> tuple[TrainedNet, dict[str, Any]]:
     return network, content["facts"]
 
 
-def _lstm(content: Mapping[str, Any]) -> LstmNet:
-    hidden = content["weights"]["linear_1.bias"].shape[0]
+def _window_net(network_type: type[WindowNet], content: Mapping[str, Any]) -> WindowNet:
+    # Files of the first LSTMs do not name their width.
+    hidden = content["hidden"] if "hidden" in content else content["weights"]["linear_1.bias"].shape[0]
     increment = content["predicts_increment"]
-    return LstmNet(torch.zeros(3), torch.ones(3), 0.0, 1.0, hidden, predicts_increment=increment)
+    return network_type(torch.zeros(3), torch.ones(3), 0.0, 1.0, hidden, predicts_increment=increment)
 
 
 def _ham(content: Mapping[str, Any]) -> HamNet:
@@ -67,8 +70,8 @@ def _guarded_net(content: Mapping[str, Any]) -> GuardedHamNet:
     return GuardedHamNet(TwinStep(weights["twin.transition"].shape[1]), weights["mlp.0.bias"].shape[0])
 
 
-_EMPTY: dict[str, Callable[[dict[str, Any]], TrainedNet]] = {
-    "LstmNet": _lstm,
+_EMPTY: dict[str, Callable[[dict[str, Any]], Network]] = {
+    **{network.__name__: partial(_window_net, network) for network in NETWORKS.values()},
     "HamNet": _ham,
     "GuardedHamNet": _guarded_net,
 }

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from edge.lab.episodes import Sensor
 from edge.models.policy_actions import duties_and_fans
 from edge.models.policy_observation import AIR_ROWS, INPUT_ROWS, Recent, observe
-from training.models.lstm import WINDOW
+from training.models.window_network import WINDOW
 from training.rl.episodes import Episodes, EpisodeStart
 from training.rl.models import StepModel, Window
 from training.rl.reward import Weights, reward

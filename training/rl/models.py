@@ -21,7 +21,7 @@ Indices = NDArray[np.intp]
 class Window:
     """Measured rows of B boxes, the last of them now: its duty and fan are not decided yet.
 
-    temp, ambient [°C], duty, fan : [B, training.models.lstm.WINDOW]
+    temp, ambient [°C], duty, fan : [B, training.models.window_network.WINDOW]
     """
 
     temp: Floats

@@ -33,9 +33,10 @@ def golden_with(key: str, value: Any) -> list[Any]:
     return [TWO_STEPS | {key: value}]
 
 
-def test_a_file_that_keeps_its_contract_is_read(tmp_path: Path) -> None:
-    model = read_lstm(write_onnx(tmp_path / "lstm.onnx"), 60.0)
-    assert (model.name, model.kind, model.step_s, model.rows_needed) == ("lstm", "lstm", 60.0, 3)
+@pytest.mark.parametrize("kind", ["lstm", "window"])
+def test_a_file_that_keeps_its_contract_is_read(kind: str, tmp_path: Path) -> None:
+    model = read_lstm(write_onnx(tmp_path / "lstm.onnx", kind), 60.0)
+    assert (model.name, model.kind, model.step_s, model.rows_needed) == ("lstm", kind, 60.0, 3)
     assert model.validity["temp_air_c"] == (0.0, 40.0)
     assert model.contract.facts["software"] == {"torch": "2.13.0"}
 
@@ -44,7 +45,7 @@ def test_a_file_that_keeps_its_contract_is_read(tmp_path: Path) -> None:
     ("changed", "message"),
     [
         ({"contract": 2}, "contract: 2 is not 1"),
-        ({"kind": "arx"}, "kind: 'arx' is none of lstm, ham, ham_guarded"),
+        ({"kind": "arx"}, "kind: 'arx' is none of lstm, window, ham, ham_guarded"),
         ({"features": ["temp_air", "fan_on", "heater_duty"]}, "features: ('temp_air', 'fan_on', "),
         ({"features": ["temp_air", "heater_duty"]}, "features: ('temp_air', 'heater_duty') is not"),
         ({"units": VALID["units"] | {"temp_air": "K"}}, "units: "),
@@ -153,6 +154,6 @@ def test_an_onnx_file_without_a_contract_is_refused(tmp_path: Path) -> None:
 
 
 def test_one_kind_of_model_is_not_read_as_another(tmp_path: Path) -> None:
-    assert refusal(write_onnx(tmp_path / "ham.onnx", "ham")) == "kind: 'ham' is none of lstm"
+    assert refusal(write_onnx(tmp_path / "ham.onnx", "ham")) == "kind: 'ham' is none of lstm, window"
     with pytest.raises(DataError, match=r"lstm\.onnx: kind: 'lstm' is none of ham, ham_guarded"):
         read_ham(write_onnx(tmp_path / "lstm.onnx"), TWIN)

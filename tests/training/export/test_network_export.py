@@ -22,13 +22,16 @@ from training.data.datasets import EXTRAPOLATION_MAX_C
 from training.export.ham_graph import scan_steps
 from training.export.network_export import ExportFacts, export, main
 from training.export.onnx_step import ham_start, single_step
+from training.models.gru import GruNet
 from training.models.ham import HamNet
 from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import WINDOW, LstmNet
+from training.models.lstm import LstmNet
+from training.models.networks import NETWORKS
 from training.models.registry import NETWORK_FILE
 from training.models.study import RESULT_FILE
 from training.models.twin_step import TwinStep
 from training.models.weights import save_network
+from training.models.window_network import WINDOW, WindowNet
 
 STEP_K, ROLLOUT_K = 1e-5, 1e-3  # what the exported may differ by: over one step, over a whole run
 BOX = {
@@ -80,13 +83,14 @@ def inputs(batch: int, horizon: int) -> tuple[Floats, dict[str, Floats]]:
     return np.stack([duty, fan], axis=-1), ahead
 
 
-def lstm(predicts_increment: bool) -> LstmNet:
+def window_net(network_type: type[WindowNet], predicts_increment: bool) -> WindowNet:
     torch.manual_seed(1)
     target = (0.02, 0.3) if predicts_increment else (28.0, 4.0)
     scale = torch.tensor([28.0, 0.5, 0.4]), torch.tensor([4.0, 0.3, 0.5])
-    network = LstmNet(*scale, *target, predicts_increment=predicts_increment).eval()
-    for parameter in network.parameters():
-        parameter.data *= 3.0
+    network = network_type(*scale, *target, predicts_increment=predicts_increment).eval()
+    if network_type in (LstmNet, GruNet):  # as they are drawn, these hardly look at their window
+        for parameter in network.parameters():
+            parameter.data *= 3.0
     return network
 
 
@@ -119,7 +123,7 @@ def guarded() -> GuardedHamNet:
 
 
 @torch.no_grad()
-def lstm_reference(network: LstmNet, controls: Floats, offset: Floats) -> Floats:
+def window_reference(network: WindowNet, controls: Floats, offset: Floats) -> Floats:
     """The window moved by hand, one sequence after the other."""
     names = ("temp_air", "heater_duty", "fan_on")
     sequences = []
@@ -152,12 +156,19 @@ def ham_reference(
     return np.stack(temps, axis=1)
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["temperature", "increment"])
-def lstm_pair(
+EVERY = [("lstm", True), *((name, name == "tcn") for name in NETWORKS)]  # each of them, and both targets
+
+
+@pytest.fixture(scope="module", params=EVERY, ids=lambda param: f"{param[0]}-{param[1]}")
+def window_pair(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[LstmNet, OnnxPredictor]:
-    network = lstm(request.param)
-    return network, export(network, FACTS, run_file(), tmp_path_factory.mktemp("lstm") / "lstm.onnx")
+) -> tuple[WindowNet, OnnxPredictor]:
+    """A network and its file, read by the rig's own loader and proved by the golden vectors in it."""
+    name, predicts_increment = request.param
+    network = window_net(NETWORKS[name], predicts_increment)
+    path = tmp_path_factory.mktemp(name) / "lstm.onnx"
+    export(network, FACTS, run_file(), path)
+    return network, read_lstm(path, 60.0)
 
 
 @pytest.fixture(scope="module")
@@ -167,27 +178,27 @@ def ham_pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[HamNet, OnnxPred
     return network, export(network, facts, run_file(), tmp_path_factory.mktemp("ham") / "ham.onnx")
 
 
-def test_the_lstm_in_one_graph_is_its_module_at_every_horizon(
-    lstm_pair: tuple[LstmNet, OnnxPredictor],
+def test_a_network_in_one_graph_is_its_module_at_every_horizon(
+    window_pair: tuple[WindowNet, OnnxPredictor],
 ) -> None:
-    network, model = lstm_pair
+    network, model = window_pair
     controls, ahead = inputs(2, 60)
-    expected = lstm_reference(network, controls, ahead["offset"])
+    expected = window_reference(network, controls, ahead["offset"])
     assert np.ptp(expected) > 1.0  # the weights do something
     for horizon in range(1, 61):
         found = model.rollout(past(), controls[:, :horizon], ahead)
         np.testing.assert_allclose(found, expected[:, :horizon], rtol=0, atol=STEP_K * (1 + horizon))
 
 
-def test_the_lstm_keeps_to_its_module_over_a_whole_run(lstm_pair: tuple[LstmNet, OnnxPredictor]) -> None:
-    network, model = lstm_pair
+def test_a_network_keeps_to_its_module_over_a_whole_run(window_pair: tuple[WindowNet, OnnxPredictor]) -> None:
+    network, model = window_pair
     controls, ahead = inputs(1, 212)
-    expected = lstm_reference(network, controls, ahead["offset"])
+    expected = window_reference(network, controls, ahead["offset"])
     np.testing.assert_allclose(model.rollout(past(), controls, ahead), expected, rtol=0, atol=ROLLOUT_K)
 
 
-def test_single_steps_agree_from_every_row_of_a_run(lstm_pair: tuple[LstmNet, OnnxPredictor]) -> None:
-    network, model = lstm_pair
+def test_single_steps_agree_from_every_row_of_a_run(window_pair: tuple[WindowNet, OnnxPredictor]) -> None:
+    network, model = window_pair
     columns = past(222)
     table = np.stack([columns[name] for name in ("temp_air", "heater_duty", "fan_on")], axis=-1)
     windows = np.stack([table[row : row + WINDOW] for row in range(len(table) - WINDOW)])
@@ -202,10 +213,10 @@ def test_single_steps_agree_from_every_row_of_a_run(lstm_pair: tuple[LstmNet, On
 
 @pytest.mark.parametrize("batch", [1, 42, 130])
 def test_a_batch_is_its_rows_one_by_one(
-    batch: int, lstm_pair: tuple[LstmNet, OnnxPredictor], ham_pair: tuple[HamNet, OnnxPredictor]
+    batch: int, window_pair: tuple[WindowNet, OnnxPredictor], ham_pair: tuple[HamNet, OnnxPredictor]
 ) -> None:
     controls, ahead = inputs(batch, 5)
-    for _, model in (lstm_pair, ham_pair):
+    for _, model in (window_pair, ham_pair):
         alone = np.concatenate([model.rollout(past(), one[None], ahead) for one in controls])
         np.testing.assert_allclose(model.rollout(past(), controls, ahead), alone, rtol=0, atol=STEP_K)
 
@@ -257,8 +268,8 @@ def test_the_guarded_hybrid_carries_its_hidden_states(guarded_step: tuple[Guarde
         np.testing.assert_allclose(found, expected, rtol=0, atol=limit_k)
 
 
-def test_the_file_says_where_it_comes_from(lstm_pair: tuple[LstmNet, OnnxPredictor]) -> None:
-    network, model = lstm_pair
+def test_the_file_says_where_it_comes_from(window_pair: tuple[WindowNet, OnnxPredictor]) -> None:
+    network, model = window_pair
     facts = model.contract.facts
     assert facts["scaler"]["scale"] == pytest.approx(network.scale.tolist())
     assert (facts["command"], facts["seed"], facts["data_sha256"]) == (FACTS.command, 3, "d" * 64)
@@ -268,20 +279,20 @@ def test_the_file_says_where_it_comes_from(lstm_pair: tuple[LstmNet, OnnxPredict
         or facts["software"]["torch"] == torch.__version__
     )
     assert {"onnx", "numpy", "python"} <= facts["software"].keys()
-    assert model.validity == {key: BOX[key] for key in contract.keys("lstm")}
+    assert model.validity == {key: BOX[key] for key in contract.keys(network.kind)}
     assert max(golden.temps.shape[1] for golden in model.contract.golden) == 222 - WINDOW  # the whole run
 
 
 def test_the_same_network_gives_the_same_file(tmp_path: Path) -> None:
-    versions = {
-        export(lstm(False), FACTS, run_file(), tmp_path / name).version for name in ("a.onnx", "b.onnx")
-    }
+    network = window_net(LstmNet, False)
+    paths = (tmp_path / name for name in ("a.onnx", "b.onnx"))
+    versions = {export(network, FACTS, run_file(), path).version for path in paths}
     assert len(versions) == 1
 
 
 def test_changed_weights_in_the_file_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "lstm.onnx"
-    export(lstm(False), FACTS, run_file(), path)
+    export(window_net(LstmNet, False), FACTS, run_file(), path)
     model = onnx.load(path)
     largest = max(model.graph.initializer, key=lambda tensor: len(tensor.raw_data))
     largest.raw_data = (1.01 * np.frombuffer(largest.raw_data, dtype=np.float32)).tobytes()
@@ -298,7 +309,7 @@ def test_golden_vectors_need_a_whole_run(rows: int, hole: int | None, message: s
     if hole is not None:
         run.columns["temp_air_c"][hole] = np.nan
     with pytest.raises(DataError, match=message):
-        export(lstm(False), FACTS, run, tmp_path / "lstm.onnx")
+        export(window_net(LstmNet, False), FACTS, run, tmp_path / "lstm.onnx")
     assert not (tmp_path / "lstm.onnx").exists()
 
 
@@ -311,7 +322,7 @@ def test_a_kept_training_is_exported_from_the_command_line(
         "seed": 2,
         "data_sha256": "e" * 64,
     }
-    save_network(lstm(True), tmp_path / NETWORK_FILE, facts)
+    save_network(window_net(LstmNet, True), tmp_path / NETWORK_FILE, facts)
     record = {"progress": {"epochs": 7}, "scenarios": {"4": {"free_run": {"mae_k": 0.5}}}}
     (tmp_path / RESULT_FILE).write_text(json.dumps(record))
     path = tmp_path / "lstm.onnx"

@@ -11,12 +11,15 @@ from training_runs import BOX, box_run
 
 from edge.core.errors import DataError
 from training.data.pairs import split_all, windows
-from training.models import ham, ham_guarded, lstm, pbm
+from training.models import ham, ham_guarded, pbm
 from training.models.fit_network import EarlyStopping, Pairs, fit
-from training.models.predictors import LstmPredictor
+from training.models.lstm import LstmNet
+from training.models.predictors import WindowPredictor
 from training.models.rollout import errors, free_run
+from training.models.window_network import WindowSettings
+from training.models.window_network import train as train_window
 
-TINY_LSTM = lstm.LstmSettings(epochs=2, hidden=4)
+TINY_LSTM = WindowSettings(epochs=2, hidden=4)
 TINY_HAM = ham.HamSettings(epochs=2, hidden=4)
 TINY_GUARDED = ham_guarded.GuardedHamSettings(epochs=2, hidden=4)
 
@@ -44,13 +47,13 @@ def test_training_stops_after_epochs_without_progress(losses: list[float], stops
 def test_the_settings_are_the_paper_s() -> None:
     paper = {"epochs": 5000, "learning_rate": 1e-3, "batch_size": 40, "hidden": 64, "dropout": 0.2,
              "min_delta": 5e-4, "tolerance": 10}  # fmt: skip
-    usual = lstm.LstmSettings(), ham.HamSettings()
+    usual = WindowSettings(), ham.HamSettings()
     assert {key: getattr(usual[0], key) for key in paper} == paper
     assert {key: getattr(usual[1], key) for key in paper} == paper | {"epochs": 1000, "batch_size": 64}
 
 
 def test_the_lstm_has_the_paper_s_layers_in_its_order() -> None:
-    network = lstm.LstmNet(torch.zeros(3), torch.ones(3), 0.0, 1.0)
+    network = LstmNet(torch.zeros(3), torch.ones(3), 0.0, 1.0)
     called: list[str] = []
     for name, layer in network.named_children():
         layer.register_forward_hook(lambda *_, name=name: called.append(name))
@@ -66,7 +69,7 @@ def test_the_hybrid_s_network_has_the_paper_s_layers() -> None:
 
 
 def train_lstm(seed: int) -> nn.Module:
-    return lstm.train([box_run(1)], seed, TINY_LSTM)[0]
+    return train_window(LstmNet, [box_run(1)], seed, TINY_LSTM)[0]
 
 
 def train_ham(seed: int) -> nn.Module:
@@ -85,7 +88,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(train) -> 
 
 
 @pytest.mark.parametrize("train", [
-    lambda runs: lstm.train(runs, 0, TINY_LSTM),
+    lambda runs: train_window(LstmNet, runs, 0, TINY_LSTM),
     lambda runs: ham.train(runs, 0, TINY_HAM),
     lambda runs: ham_guarded.train(runs, BOX, 0, TINY_GUARDED),
     lambda runs: pbm.train(runs, pbm.FITTED),
@@ -125,7 +128,7 @@ def test_the_weights_of_the_best_epoch_are_kept() -> None:
     network = nn.Linear(1, 1, bias=False)
     nn.init.constant_(network.weight, 0.0)
     pairs = Pairs(torch.ones(4, 1), torch.full((4,), 0.5))
-    settings = lstm.LstmSettings(epochs=6, learning_rate=1.0, min_delta=0.0, tolerance=6)
+    settings = WindowSettings(epochs=6, learning_rate=1.0, min_delta=0.0, tolerance=6)
     losses: list[float] = []
 
     def predict(features: torch.Tensor) -> torch.Tensor:
@@ -145,25 +148,25 @@ def test_a_training_that_gives_no_numbers_says_so() -> None:
     network = nn.Linear(1, 1)
     pairs = Pairs(torch.ones(4, 1), torch.full((4,), math.nan))
     with pytest.raises(DataError, match="no number in 10 epochs"):
-        fit(network, lambda x: network(x).squeeze(-1), pairs, pairs, lstm.LstmSettings(), seed=0)
+        fit(network, lambda x: network(x).squeeze(-1), pairs, pairs, WindowSettings(), seed=0)
 
 
 def test_runs_that_are_too_short_for_a_window_are_refused() -> None:
     with pytest.raises(DataError, match="too short"):
-        lstm.train([box_run(1, rows=20)], 0, TINY_LSTM)
+        train_window(LstmNet, [box_run(1, rows=20)], 0, TINY_LSTM)
 
 
 def test_a_few_epochs_bring_the_lstm_near_the_box() -> None:
     # Temperatures spread by about 2 K: what does not learn misses by that much.
-    settings = lstm.LstmSettings(epochs=40, hidden=16, learning_rate=1e-2)
-    network, _ = lstm.train([box_run(seed) for seed in range(4)], 0, settings)
+    settings = WindowSettings(epochs=40, hidden=16, learning_rate=1e-2)
+    network, _ = train_window(LstmNet, [box_run(seed) for seed in range(4)], 0, settings)
     run = box_run(9)
-    found = errors(free_run(LstmPredictor(network), run), run)
+    found = errors(free_run(WindowPredictor(network), run), run)
     assert found.mae_k < 0.5 * float(np.std(run.columns["temp_air_c"]))
 
 
 def test_an_increment_is_added_to_the_last_temperature() -> None:
-    network = lstm.LstmNet(torch.zeros(3), torch.ones(3), 0.25, 0.0, 4, predicts_increment=True).eval()
+    network = LstmNet(torch.zeros(3), torch.ones(3), 0.25, 0.0, 4, predicts_increment=True).eval()
     window = torch.full((1, 10, 3), 20.0)
     assert network(window).tolist() == [20.25]
 

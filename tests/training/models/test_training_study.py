@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,17 @@ from edge.formats.run_file import RecordedRun, inside_names
 from edge.models.pbm import Pbm, read_twin
 from edge.twin.model import BoxTwin
 from training import __main__
-from training.models import ham, ham_guarded, lstm, study
-from training.models.predictors import GuardedHamPredictor, HamPredictor, LstmPredictor
+from training.models import ham, ham_guarded, study
+from training.models.lstm import LstmNet
+from training.models.networks import NETWORKS
+from training.models.predictors import GuardedHamPredictor, HamPredictor, WindowPredictor
 from training.models.registry import ARX_FILE, MODELS, NETWORK_FILE, TWIN_FILE
 from training.models.rollout import START_ROWS, errors, free_run, one_step
 from training.models.study import TrainedModel, TrainingJob
 from training.models.summary import best_seed, records, table
 from training.models.weights import load_network, save_network
+from training.models.window_network import WindowSettings
+from training.models.window_network import train as train_window
 
 
 class Recorder:
@@ -92,17 +97,17 @@ def test_the_shortest_run_has_one_step() -> None:
 
 
 def networks() -> dict[str, Any]:
-    runs = [box_run(1)]
+    runs, tiny = [box_run(1)], WindowSettings(epochs=1, hidden=4)
     return {
-        "lstm": lstm.train(runs, 0, lstm.LstmSettings(epochs=1, hidden=4))[0],
-        "lstm_increment": lstm.train(runs, 0, lstm.LstmSettings(epochs=1, predicts_increment=True))[0],
+        **{name: train_window(NETWORKS[name], runs, 0, tiny)[0] for name in NETWORKS},
+        "lstm_increment": train_window(LstmNet, runs, 0, replace(tiny, predicts_increment=True))[0],
         "ham": ham.train(runs, 0, ham.HamSettings(epochs=1, hidden=4))[0],
         "ham_guarded": ham_guarded.train(runs, BOX, 0, ham_guarded.GuardedHamSettings(epochs=1))[0],
     }
 
 
-PREDICTORS = {"lstm": LstmPredictor, "lstm_increment": LstmPredictor, "ham": HamPredictor,
-              "ham_guarded": GuardedHamPredictor}  # fmt: skip
+PREDICTORS = dict.fromkeys((*NETWORKS, "lstm_increment"), WindowPredictor) | {
+    "ham": HamPredictor, "ham_guarded": GuardedHamPredictor}  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,10 @@ from edge.models.policy_actions import LEVELS
 from edge.models.policy_observation import NAMES
 from edge.twin.twin_file import read_twin_file
 from training.data.datasets import training_runs
-from training.models.lstm import WINDOW
-from training.models.predictors import GuardedHamPredictor, LstmPredictor
+from training.models.predictors import GuardedHamPredictor, WindowPredictor
 from training.models.summary import best_seed, records
 from training.models.weights import load_network
+from training.models.window_network import WINDOW
 from training.rl.boxes import START_ROWS, EpisodeBoxes, World
 from training.rl.episodes import (
     DrawnEpisodes,
@@ -74,7 +74,7 @@ def predictor(name):
     if name == "pbm":
         return read_twin(folder / "twin.yaml")
     network, _ = load_network(folder / "network.pt")
-    return LstmPredictor(network) if name == "lstm" else GuardedHamPredictor(network)
+    return WindowPredictor(network) if name == "lstm" else GuardedHamPredictor(network)
 
 
 def test_a_twin_file_can_be_the_model(runs):
