@@ -108,6 +108,11 @@ def machine() -> dict[str, str]:
     return {"cpu": cpu, "architecture": platform.machine(), "python": platform.python_version(), **versions}
 
 
+def machine_line() -> str:
+    """Return `machine` as one line of a table's head."""
+    return ", ".join(f"{key} {value}" for key, value in machine().items())
+
+
 def _cpu_lines() -> list[str]:
     path = Path("/proc/cpuinfo")
     return path.read_text(encoding="utf-8").splitlines() if path.exists() else []

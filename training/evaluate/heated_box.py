@@ -15,7 +15,7 @@ import torch
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats, Predictor
-from edge.formats.run_file import RecordedRun, inside_names, read_run, resample
+from edge.formats.run_file import RecordedRun, data_sha256, inside_names, read_run, resample
 from edge.formats.run_lines import OPTION_WITHOUT
 from edge.formats.table import Table
 from edge.models.arx import Arx
@@ -119,7 +119,7 @@ def _rows(
     data: Data, arx: Arx, mass: FittedBox, lag: FittedBox, seeds: Sequence[int]
 ) -> dict[str, list[Floats]]:
     """By model, MAE at each horizon by seed."""
-    by_mass, by_lag = (_parts_with_room(data.parts, box.ambient_c) for box in (mass, lag))
+    by_mass, by_lag = (parts_with_room(data.parts, box.ambient_c) for box in (mass, lag))
 
     def scores(predictor: Predictor, box: FittedBox = mass) -> Floats:
         return maes(predictor, data.test, box.ambient_c)
@@ -219,11 +219,17 @@ def _ham(parts: Split, box: FittedBox, seed: int, guarded: bool) -> Predictor:
     return GuardedHamPredictor(network)
 
 
-def _parts_with_room(parts: Split, ambient_c: float) -> Split:
+def parts_with_room(parts: Split, ambient_c: float) -> Split:
+    """Return the parts with a room of this temperature [°C]."""
     return Split(
         [_with_room(run, ambient_c) for run in parts.train],
         [_with_room(run, ambient_c) for run in parts.validate],
     )
+
+
+def data_hash(parts: Split) -> str:
+    """Return the hash of all runs that train or validate."""
+    return data_sha256([*parts.train, *parts.validate])
 
 
 def _at_step(run: RecordedRun) -> RecordedRun:

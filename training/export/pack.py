@@ -25,7 +25,7 @@ from training.rl.saved_policy import FOLDERS, POLICY_FILE, best_folder, read_rec
 PACKAGED = DEFAULT_PATH.parent / "default_bundle"
 KEY = Path("out/keys/signing.pem")
 REGIME: Regime = "interpolation"  # what a rig gets has seen all that there is
-HYBRID = "ham_guarded"
+HYBRID, NETWORK = "ham_guarded", "lstm"
 REPORT = "report.json"
 
 
@@ -37,19 +37,18 @@ class BundleParts:
     hybrid: Path
 
 
-def gather(out: Path, folder: Path, hybrid_name: str = HYBRID) -> dict[str, Any]:
+def gather(out: Path, folder: Path, hybrid_name: str = HYBRID, network_name: str = NETWORK) -> dict[str, Any]:
     """Fill `folder` with the models of a bundle and a report of them; the report.
 
     out : of `greenhouse-train all`
     hybrid_name : the training whose network and twin are taken, "ham_given" for one over a given twin
+    network_name : the training in the place of the LSTM, such as "gru_tuned"
     Errors : DataError where a training is missing or a graph does not prove its contract
     """
     found = records(out)
     _empty(folder)
-    seeds = {name: best_seed(found, name, REGIME) for name in ("lstm", hybrid_name)}
-    parts = BundleParts(
-        **{kind: _folder(out, name, seeds) for kind, name in (("lstm", "lstm"), ("hybrid", hybrid_name))}
-    )
+    seeds = {name: best_seed(found, name, REGIME) for name in (network_name, hybrid_name)}
+    parts = BundleParts(lstm=_folder(out, network_name, seeds), hybrid=_folder(out, hybrid_name, seeds))
     shutil.copyfile(DEFAULT_PATH, folder / "arx.json")
     shutil.copyfile(parts.hybrid / TWIN_FILE, folder / TWIN_FILE)
     lstm = export_study(parts.lstm, folder / "lstm.onnx")
