@@ -9,10 +9,13 @@ from training_runs import box_run
 
 from edge.core.errors import DataError
 from edge.core.predictor import Predictor
-from edge.formats.run_file import RecordedRun
+from edge.formats.run_file import RecordedRun, data_sha256
 from training import __main__
+from training.data.datasets import training_runs
 from training.data.pairs import split_all
 from training.evaluate import tune_networks
+from training.models.networks import NETWORKS
+from training.models.study import SCENARIOS
 from training.models.tuned_settings import (
     BATCH_SIZES,
     DROPOUTS,
@@ -26,6 +29,7 @@ from training.models.tuned_settings import (
 )
 from training.models.window_network import WindowSettings
 
+RESULTS = Path(tune_networks.__file__).parents[1] / "results" / "networks"
 HASH = "a" * 64
 
 
@@ -117,3 +121,19 @@ def test_what_cannot_be_tuned_is_refused(
 ) -> None:
     assert __main__.main(["tune-networks", "--results", str(tmp_path), *words]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_the_committed_trials_are_equal_and_on_the_recorded_runs() -> None:
+    found = read_trials(RESULTS)
+    drawn = trial_settings(12, tune_networks.DRAWN_BY)
+    for data in tune_networks.DATA:
+        counts = set()
+        for network in NETWORKS:
+            mine = [one for one in found if (one.network, one.data) == (network, data)]
+            assert [one.settings for one in mine] == drawn[: len(mine)]
+            assert {one.seed for one in mine} == {tune_networks.TRAINED_BY}
+            counts.add(len(mine))
+        assert len(counts) == 1
+    for regime in SCENARIOS:
+        hashes = {one.data_sha256 for one in found if one.data == regime}
+        assert hashes == {data_sha256(training_runs(regime))}
