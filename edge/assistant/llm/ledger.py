@@ -40,7 +40,7 @@ class Tool(Protocol):
         """Return the result, JSON values only. Errors: ToolError"""
         ...
 
-    def told(self, result: Any) -> Any:
+    def excerpt(self, result: Any) -> Any:
         """Return the part of a result that the model is told: what it does not know yet."""
         ...
 

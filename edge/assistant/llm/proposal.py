@@ -118,7 +118,7 @@ class Conversation:
             self.ledger.errors += 1
             return _error(str(error))
         entry = self.ledger.record(call.name, arguments, result)
-        return data_block(entry.id, {"id": entry.id, "result": tool.told(result)})
+        return data_block(entry.id, {"id": entry.id, "result": tool.excerpt(result)})
 
     def _mistake(self, kind: str, text: str) -> None:
         """Errors: LlmFailure at the second one of its kind."""

@@ -103,7 +103,7 @@ class SimulateTool:
             "mean_abs_error_k": round(float(errors.mean()), 4),
         }
 
-    def told(self, result: Mapping[str, Any]) -> dict[str, Any]:
+    def excerpt(self, result: Mapping[str, Any]) -> dict[str, Any]:
         """Return the temperatures and their error; the controls and a target that stays are known."""
         target = {"target_c": result["target_c"]} if len(set(result["target_c"])) > 1 else {}
         return {name: result[name] for name in ("temp_air_c", "mean_abs_error_k")} | target

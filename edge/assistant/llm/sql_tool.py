@@ -216,7 +216,7 @@ class SqlTool:
         self._history = history
         self._utc = utc
 
-    def told(self, result: Mapping[str, Any]) -> Mapping[str, Any]:
+    def excerpt(self, result: Mapping[str, Any]) -> Mapping[str, Any]:
         """All of it."""
         return result
 

@@ -29,7 +29,7 @@ class Echoing:
             raise ToolError("nothing to echo")
         return arguments
 
-    def told(self, result: Any) -> Any:
+    def excerpt(self, result: Any) -> Any:
         return result
 
 
