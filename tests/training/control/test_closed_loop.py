@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from edge.config import loading as config
 from training.control.closed_loop import ClosedLoopLog, closed_loop, log_of
+from training.llm_stand_in.server import StandIn
 
 HOURS = 2.0
 SETTLE_MIN = 30  # after each change of the reference
@@ -91,3 +92,17 @@ def test_every_minute_has_its_tick_and_the_heater_is_off_at_the_end(held):
 
 def test_safety_changes_nothing_of_a_quiet_run(held):
     assert not any(one.log.changes for one in held.values())
+
+
+def test_a_late_answer_has_the_minute_that_it_has_on_a_rig():
+    settings = config.parse("timezone: UTC\ncontrol: {decision_deadline_s: 1.0}", "test")
+    with StandIn("slow") as stand_in:
+        llm = replace(settings.llm, url=stand_in.url, model="stand-in")
+        control = replace(settings.control, controller="LLM-Te0")
+        with closed_loop(replace(settings, control=control, llm=llm), board="here", seed=1) as lab:
+            lab.run(ticks=3)
+    log = log_of(lab)
+    # Late for the tick that asked, there for the next one, which asks anew.
+    assert (log.asked["in_time"], log.asked["later"], sum(log.instead.values())) == (0, 2, 1)
+    assert log.asked["answered"] == 3
+    assert log.tokens == log.asked["sent"] + log.asked["received"] > 0
