@@ -28,13 +28,18 @@ KNOWLEDGE = (
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """One run in figures. model : of a language model's row, with size and quantisation; "" of all others"""
+    """One run in figures.
+
+    model : of a language model's row, with size and quantisation; "" of all others
+    remark : written by a person about a run that is older than its row
+    """
 
     entry: str
     reference: str
     seed: int
     figures: Figures
     model: str = ""
+    remark: str = ""
 
     @property
     def row(self) -> str:
@@ -132,9 +137,10 @@ def table(results: Results, names: Sequence[str], reference: str, title: str = "
 
     names : entries; title : in place of the reference's name
     """
-    heads = ("controller", "knows", "seeds", *COLUMNS, "x best", "x sensor", "x equal")
+    heads = ("controller", "knows", "seeds", *COLUMNS, "x best", "x sensor", "x equal", "remark")
+    remarks = {one.row: one.remark for one in results if one.reference == reference}
     ranked = ranking(results, names, reference)
-    rows = tuple(tuple(_cells(results, row, reference)) for row in ranked)
+    rows = tuple((*_cells(results, row, reference), remarks[row]) for row in ranked)
     return Table(title or reference, heads, rows, NOTE)
 
 
@@ -148,11 +154,12 @@ def parts_table(results: Results, names: Sequence[str], reference: str) -> Table
         shared = seeds_of(results, name, reference) & seeds_of(results, limit, reference)
         if name in names and shared:
             mine = [one for one in results if one.seed in shared]
+            remark = next(one.remark for one in mine if (one.entry, one.reference) == (name, reference))
             costs = (column(mine, one, reference, "sensor_cost_1") for one in (name, limit))
-            rows.append((name, limit, str(len(shared)), spread_text(ratio(*costs), 2)))
+            rows.append((name, limit, str(len(shared)), spread_text(ratio(*costs), 2), remark))
     note = "Costs at the sensor, seed by seed."
     title = f"{reference}: against a fan of whole steps"
-    return Table(title, ("controller", "by", "seeds", "x"), tuple(rows), note) if rows else None
+    return Table(title, ("controller", "by", "seeds", "x", "remark"), tuple(rows), note) if rows else None
 
 
 def ranking(results: Results, names: Sequence[str], reference: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +13,7 @@ from training.control.comparison import Results, column, rows_of
 from training.control.figures import mean_of
 
 Floats = NDArray[np.float64]
+LABEL_LETTERS = 28  # in a line below a bar
 DPI = 74  # the pictures lie in the repository
 COLUMN_IN, ROWS_IN = 3.6, (2.8, 0.6, 1.2)  # width of a controller's column; temperature, fan, heater
 
@@ -65,7 +67,8 @@ def bars_picture(results: Results, names: Sequence[str], references: Sequence[st
         values = [mean.value for mean in means.values()]
         bars = axes.bar(places, values, width, yerr=halves, capsize=2, label=reference.replace("_", " "))
         axes.bar_label(bars, [f"{value:.2f}" for value in values], fontsize=6.5, padding=2)
-    axes.set_xticks(range(len(present)), present, rotation=60, ha="right", fontsize="small")
+    labels = ["\n".join(wrap(row, LABEL_LETTERS)) for row in present]
+    axes.set_xticks(range(len(present)), labels, rotation=60, ha="right", fontsize="small")
     axes.set_ylabel("MAE, true air [K]")
     axes.axhspan(0.0, 0.5, color="black", alpha=0.06, lw=0)
     axes.set_title("-P: with penalty. Grey: within the sensor's ±0.5 K", fontsize="medium")

@@ -277,7 +277,7 @@ def test_ours_stands_beside_the_best_plan_with_a_fan_of_whole_steps():
     costs = dict(zip(names, (80.0, 100.0), strict=True))
     found = [made(name, seed, sensor_cost_1=cost) for seed in (1, 2) for name, cost in costs.items()]
     shown = parts_table([*found, made("MPC-Twin-P", 3, sensor_cost_1=500.0)], names, "reference_1")
-    assert shown is not None and shown.rows == ((*names, "2", "0.80"),)
+    assert shown is not None and shown.rows == ((*names, "2", "0.80", ""),)
     assert parts_table(RESULTS, list(entries()), "reference_1") is None
 
 
