@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from training.control.comparison import Results, column, rows_of
+from training.control.comparison import BY, Results, column, rows_of
 from training.control.figures import mean_of
 
 Floats = NDArray[np.float64]
@@ -67,11 +67,14 @@ def bars_picture(results: Results, names: Sequence[str], references: Sequence[st
         values = [mean.value for mean in means.values()]
         bars = axes.bar(places, values, width, yerr=halves, capsize=2, label=reference.replace("_", " "))
         axes.bar_label(bars, [f"{value:.2f}" for value in values], fontsize=6.5, padding=2)
-    labels = ["\n".join(wrap(row, LABEL_LETTERS)) for row in present]
+    models = {one.model for one in results if one.model}
+    shown = [row.partition(BY)[0] if len(models) == 1 else row for row in present]
+    labels = ["\n".join(wrap(row, LABEL_LETTERS)) for row in shown]
     axes.set_xticks(range(len(present)), labels, rotation=60, ha="right", fontsize="small")
     axes.set_ylabel("MAE, true air [K]")
     axes.axhspan(0.0, 0.5, color="black", alpha=0.06, lw=0)
-    axes.set_title("-P: with penalty. Grey: within the sensor's ±0.5 K", fontsize="medium")
+    decided = f"LLM: decided by {models.pop()}. " if len(models) == 1 else ""
+    axes.set_title(f"-P: with penalty. {decided}Grey: within the sensor's ±0.5 K", fontsize="medium")
     axes.legend(fontsize="small")
     return png(figure)
 
