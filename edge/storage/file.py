@@ -145,6 +145,9 @@ def connect(path: Path, busy_s: float) -> sqlite3.Connection:
 
             renew_tick_view(connection)
         _reserve_log(path)
+    except UnicodeDecodeError as error:  # what SQLite says of damaged tables repeats their bytes
+        connection.close()
+        raise Unusable(f"its description of the tables is damaged: {error.reason}") from None
     except BaseException:
         connection.close()
         raise

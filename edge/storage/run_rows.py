@@ -180,7 +180,7 @@ def reading(path: str | Path, busy_s: float = BUSY_S, how: str = "mode=ro") -> I
                 )
             _check_tables(connection, path)
             yield connection
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite's words may repeat damaged bytes
         raise DataError(f"{path}: {error}") from error
 
 

@@ -19,7 +19,7 @@ from sqlite_utils import Database
 from edge.formats.tick_json import tick_json
 from edge.storage import Outbox, Session, Storage, schema
 from edge.storage import storage as storage_module
-from edge.storage.file import FREE_SHARE, RESERVED_BYTES, connect
+from edge.storage.file import FREE_SHARE, RESERVED_BYTES, Unusable, connect
 from edge.storage.numbers import NumbersFile, Reservation
 from edge.storage.runs import export_run
 from edge.storage.schema_version import SCHEMA_VERSION, USABLE_VERSION, VIEWS
@@ -263,13 +263,20 @@ def middle_broken(data: bytes) -> bytes:
     return data[:8192] + os.urandom(len(data) - 16384) + data[-8192:]
 
 
+def names_broken(data: bytes) -> bytes:
+    """Damage of a table's name and definition: SQLite's complaint repeats bytes that are no text."""
+    data = data.replace(b"tablehistoryhistory", b"tablehisto\xcc\xffhistory")
+    return data.replace(b"CREATE TABLE", b"CREATE TABXX")
+
+
 @pytest.mark.parametrize(
-    "damage", [half, header_broken, middle_broken, lambda data: b"", lambda data: b"hello"]
+    "damage", [half, header_broken, middle_broken, names_broken, lambda data: b"", lambda data: b"hello"]
 )
 def test_a_broken_file_is_set_aside_and_a_new_history_begun(path: Path, damage) -> None:
     with opened(path) as (storage, _):
         write(storage, *range(1, 41))
-    damaged = damage(path.read_bytes())
+    damaged = damage(whole := path.read_bytes())
+    assert damaged != whole
     path.write_bytes(damaged)
     with opened(path) as (storage, first):
         storage.write(tick(first))
@@ -280,6 +287,14 @@ def test_a_broken_file_is_set_aside_and_a_new_history_begun(path: Path, damage) 
     (aside,) = asides(path)
     # sqlite3 may have touched the header when it opened the file; what was in it is all there.
     assert aside.stat().st_size == len(damaged)
+
+
+def test_a_complaint_with_bytes_that_are_no_text_is_of_a_broken_file(path: Path) -> None:
+    with opened(path) as (storage, _):
+        write(storage, 1)
+    path.write_bytes(names_broken(path.read_bytes()))
+    with pytest.raises(Unusable, match="its description of the tables is damaged"):
+        connect(path, 1.0)
 
 
 def test_a_directory_in_place_is_set_aside(path: Path) -> None:
