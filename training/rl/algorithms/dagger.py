@@ -168,4 +168,4 @@ TRIALS = (
     replace(FIRST, learning_rate=1e-3),
     replace(FIRST, passes=3),
 )
-SETTINGS = TRIALS[0]  # the highest reward of `python -m training.rl.tune`
+SETTINGS = TRIALS[1]  # the highest reward of `python -m training.rl.tune`
