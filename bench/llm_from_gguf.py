@@ -13,7 +13,12 @@ def save(path: Path, folder: Path) -> None:
     """Model and tokenizer with its chat template."""
     given = {"gguf_file": path.name}
     AutoTokenizer.from_pretrained(path.parent, **given).save_pretrained(folder)
-    AutoModelForCausalLM.from_pretrained(path.parent, **given).save_pretrained(folder)
+    read = AutoModelForCausalLM.from_pretrained(path.parent, **given)
+    config = read.config
+    del config.quantization_config  # it calls the floats quantised still, and would not be saved
+    model = AutoModelForCausalLM.from_config(config)
+    model.load_state_dict(read.state_dict())
+    model.save_pretrained(folder)
 
 
 if __name__ == "__main__":
