@@ -14,7 +14,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -168,12 +168,6 @@ def into_comparison(served: Served, names: Sequence[str], seeds: Sequence[int]) 
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
 
 
-@contextmanager
-def given_endpoint(url: str, model: str, program: str) -> Iterator[Served]:
-    """Yield an endpoint that somebody else serves."""
-    yield Served(url, model, program)
-
-
 def main(words: Sequence[str] | None = None) -> int:
     """Serve, run what is missing, print and keep the table."""
     parser = argparse.ArgumentParser(prog="python -m bench.llm_local", description=__doc__)
@@ -196,7 +190,7 @@ def main(words: Sequence[str] | None = None) -> int:
         parser.error("--url and --model belong together")
     lines = list(header())
     serving = (
-        given_endpoint(given.url, given.model, given.program)
+        nullcontext(Served(given.url, given.model, given.program))
         if given.url
         else local_server(given.gguf, given.server, given.threads)
     )

@@ -24,7 +24,6 @@ class ClosedLoopLog:
     changes : safety rule -> commands it changed
     instead : why another controller decided -> ticks
     time_boxes : decisions that the wall clock cut short
-    tokens : of a language model
     asked : of a language model, as `LanguageModel.counted`; "in_time" ticks that it decided when asked,
         "later" those that an older answer decided
     plans : per tick the air that the controller expected after each of the next steps [°C], or empty
@@ -34,9 +33,13 @@ class ClosedLoopLog:
     changes: Counter[str]
     instead: Counter[str]
     time_boxes: int
-    tokens: int
     plans: tuple[tuple[float, ...], ...] = ()
     asked: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def tokens(self) -> int:
+        """Tokens of a language model, sent and received."""
+        return self.asked["sent"] + self.asked["received"]
 
 
 def closed_loop(settings: Settings, instead: Controller | None = None, **more: Any) -> Lab:
@@ -56,7 +59,6 @@ def log_of(lab: Lab, instead: Controller | None = None) -> ClosedLoopLog:
     name = lab.settings.control.controller if instead is None else instead.name
     whys = [record.decision.why for record in lab.history]
     ages_s = [why["asked_s_ago"] for why in whys if "asked_s_ago" in why]
-    counted = Counter(lab.counted)
     return ClosedLoopLog(
         lab.columns(),
         Counter(
@@ -68,7 +70,6 @@ def log_of(lab: Lab, instead: Controller | None = None) -> ClosedLoopLog:
             if record.decision.controller != name
         ),
         sum(bool(why.get("time_box_fired", False)) for why in whys),
-        counted["sent"] + counted["received"],
         tuple(tuple(record.decision.forecast) for record in lab.history),
-        counted + Counter(in_time=ages_s.count(0.0), later=len(ages_s) - ages_s.count(0.0)),
+        Counter(lab.counted) + Counter(in_time=ages_s.count(0.0), later=len(ages_s) - ages_s.count(0.0)),
     )

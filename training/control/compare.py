@@ -321,8 +321,8 @@ def _tables(results: Sequence[RunResult], names: Sequence[str]) -> list[Table]:
     tables += [one for each in references for one in energy_tables(ranked, names, each)]
     # Beside the limits, which every table needs that ranks by them.
     limits = [one for one in ranked if one.entry not in LLM]
+    only = [name for name in names if name in LLM]
     for each in references_of(scripted):
-        only = [name for name in names if name in LLM]
         tables.append(table([*limits, *scripted], only, each, f"{each}: {STAND_IN}"))
     return tables
 

@@ -172,7 +172,6 @@ def keep(job: ComparisonJob, log: ClosedLoopLog, root: Path) -> None:
         "changes": dict(log.changes),
         "instead": dict(log.instead),
         "time_boxes": log.time_boxes,
-        "tokens": log.tokens,
         "asked": dict(log.asked),
     }
     write_atomically(folder / "run.json", json.dumps(facts, indent=1) + "\n")
@@ -192,7 +191,6 @@ def read(job: ComparisonJob, root: Path) -> ClosedLoopLog:
             Counter(facts["changes"]),
             Counter(facts["instead"]),
             facts["time_boxes"],
-            facts["tokens"],
             asked=Counter(facts.get("asked", {})),
         )
 

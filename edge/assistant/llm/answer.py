@@ -14,7 +14,7 @@ from edge.formats.reader import DocumentError, read
 RATIONALE_MAX = 1200  # characters that are kept
 SNAP = 1e-6  # a duty this near a level is that level
 # Named one by one: a grammar can hold a model to a list, not to a range.
-LEVELS = [level / HEATER_LEVELS for level in range(HEATER_LEVELS + 1)]
+DUTIES = [level / HEATER_LEVELS for level in range(HEATER_LEVELS + 1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ def answer_schema(simulations: Mapping[str, Command] | None) -> Schema:
     simulations : first controls of those that it may cite, by id; None where nothing is simulated
     """
     first = list((simulations or {}).values())
-    levels = sorted({command.heater_duty for command in first}) or LEVELS
+    levels = sorted({command.heater_duty for command in first}) or DUTIES
     fans = sorted({command.fan_on for command in first}) or [False, True]
     properties: dict[str, Any] = {
         "heater_duty": {"type": "number", "enum": levels},

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from edge.assistant.llm.answer import LEVELS, ModelAnswer, nearest_level
+from edge.assistant.llm.answer import DUTIES, ModelAnswer, nearest_level
 from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.ledger import Ledger, ToolError
 from edge.assistant.llm.wire import ToolSpec
@@ -79,7 +79,7 @@ class SimulateTool:
             {
                 "type": "object",
                 "properties": {
-                    "heater_duty": {**numbers, "items": {"type": "number", "enum": LEVELS}},
+                    "heater_duty": {**numbers, "items": {"type": "number", "enum": DUTIES}},
                     "fan_on": {**numbers, "items": {"type": "boolean"}},
                 },
                 "required": ["heater_duty", "fan_on"],

@@ -22,7 +22,9 @@ def log(**columns: list[float]) -> ClosedLoopLog:
         "solve_ms": [1.0, 2.0, 3.0, 4.0],
     } | columns
     counted = Counter({"fan.min_on": 2}), Counter({"controller.late": 1})
-    return ClosedLoopLog({key: np.array(values) for key, values in rows.items()}, *counted, 0, 7)
+    return ClosedLoopLog(
+        {key: np.array(values) for key, values in rows.items()}, *counted, 0, asked=Counter(sent=7)
+    )
 
 
 def test_errors_are_of_the_end_of_each_step():
