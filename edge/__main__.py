@@ -5,6 +5,7 @@ import importlib
 import io
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from edge.commands import orders
 from edge.core.errors import GreenhouseError
@@ -40,6 +41,7 @@ COMMANDS = {  # command -> help; the module is edge.commands.<name with undersco
     "evidence": "seal the record day by day, prove it, report it",
     "forget-discovery": "remove a rig from Home Assistant and the broker",
 }
+FURTHER = "greenhouse.commands"  # entry points of further commands
 MESSAGE_MAX = 1500  # characters of an error
 GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
     "Start here": ("demo", "setup", "check-config", "run"),
@@ -82,7 +84,7 @@ GROUPS = {  # heading -> commands, in the order of `greenhouse --help`
 FIRST_STEPS = """Without a rig: `greenhouse demo`, and `greenhouse status` in another terminal.
 With one: `greenhouse setup`. It writes edge.yaml; after a change by hand:
 `greenhouse check-config /etc/greenhouse/edge.yaml`.
-`greenhouse COMMAND --help` explains a command."""
+`greenhouse COMMAND --help` explains a command. Many rigs: `greenhouse fleet`."""
 
 
 def parser_for(command: str | None) -> argparse.ArgumentParser:
@@ -105,7 +107,21 @@ def parser_for(command: str | None) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, description=_sentence(help_text))
         orders.add_arguments(name, sub)
         sub.set_defaults(run=orders.run)
+    if command not in commands.choices:
+        _add_further(commands, command)
     return parser
+
+
+def _add_further(commands: Any, command: str | None) -> None:
+    """Add a command of what is installed beside, such as `fleet`: HELP, add_arguments, run."""
+    from importlib.metadata import entry_points
+
+    for entry in entry_points(group=FURTHER):
+        if entry.name == command:
+            module = entry.load()
+            sub = commands.add_parser(entry.name, description=_sentence(module.HELP))
+            module.add_arguments(sub)
+            sub.set_defaults(run=module.run)
 
 
 def _overview() -> str:

@@ -32,6 +32,8 @@ LAYERS = (
     ("core",),
 )
 RANK = {room: rank for rank, line in enumerate(LAYERS) for room in line}
+# Rooms of fleet/, as above; the files beside them are above all but `commands`.
+FLEET = (("commands",), ("database",))
 TRAINING = {"data", "models", "export", "evaluate", "rl", "control", "reports", "llm_stand_in"}
 WIRE = {
     "edge/board/board.py",
@@ -44,7 +46,8 @@ WIRE = {
 }  # line and block of the board
 FORBIDDEN = {  # part of the tree -> what nothing in it may import
     "firmware_protocol": ("edge", "training", "torch"),
-    "edge": ("training", "torch", "stable_baselines3", "tests", "bench"),
+    "edge": ("fleet", "training", "torch", "stable_baselines3", "tests", "bench"),
+    "fleet": ("training", "torch", "tests", "bench"),
     "training": ("tests", "bench"),
     "firmware_protocol/virtual_board/chamber.py": ("edge",),
     # The control thread encodes nothing: whoever writes to the wire or the disk does, in a thread of its own.
@@ -143,11 +146,34 @@ def test_a_room_imports_only_rooms_below_it(room: str) -> None:
     assert broken == []
 
 
+def test_fleet_holds_the_rooms_of_its_list() -> None:
+    loose = {path.name for path in (ROOT / "fleet").glob("*.py")}
+    assert loose == {"__init__.py", "command.py", "settings.py"}
+    rooms = {path.parent.name for path in (ROOT / "fleet").glob("*/__init__.py")}
+    assert rooms == {room for line in FLEET for room in line}
+
+
+@pytest.mark.parametrize("room", [room for line in FLEET for room in line])
+def test_a_room_of_the_fleet_imports_only_rooms_below_it(room: str) -> None:
+    rank = {name: rank for rank, line in enumerate(FLEET) for name in line}
+    broken = [
+        f"{path.relative_to(ROOT)} imports {module}"
+        for path in sources(f"fleet/{room}")
+        for module in imported(path)
+        if module.startswith("fleet.")
+        and (other := module.split(".")[1]) in rank
+        and other != room
+        and rank[other] <= rank[room]
+    ]
+    assert broken == []
+
+
 def test_a_room_says_what_belongs_in_it() -> None:
+    rooms = [*(f"edge/{room}" for room in RANK), *(f"fleet/{room}" for line in FLEET for room in line)]
     silent = [
-        room
-        for room in RANK
-        if len(ast.get_docstring(ast.parse((ROOT / "edge" / room / "__init__.py").read_text())) or "") < 80
+        path
+        for path in rooms
+        if len(ast.get_docstring(ast.parse((ROOT / path / "__init__.py").read_text())) or "") < 80
     ]
     assert silent == []
 

@@ -34,7 +34,7 @@ PAGES_BY_HAND = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 FENCE = re.compile(r'^```(\w+)(?: title="([^"]*)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 IN_A_LINE = re.compile(r"`((?:greenhouse|greenhouse-train|python -m|make) [^`]+)`")
 A_PATH = re.compile(
-    r"`((?:edge|firmware_protocol|training|bench|tests|tools|deploy|docs|examples)/[\w./-]+)`"
+    r"`((?:edge|fleet|firmware_protocol|training|bench|tests|tools|deploy|docs|examples)/[\w./-]+)`"
 )
 LEAVE, PRINTED = "leave it running", "it prints"
 SHELL = {"sh", "bash"}
@@ -193,7 +193,7 @@ def check_module(module: str, rest: list[str]) -> None:
     """Fail where the module is missing, or an option is in none of its files."""
     found = importlib.util.find_spec(module)
     assert found is not None and found.origin is not None, module
-    if module.partition(".")[0] not in ("edge", "training", "bench", "firmware_protocol", "tools"):
+    if module.partition(".")[0] not in ("edge", "fleet", "training", "bench", "firmware_protocol", "tools"):
         return
     if module == "bench" and rest and not rest[0].startswith("-"):
         check_module(f"bench.{rest[0]}", rest[1:])

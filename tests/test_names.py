@@ -5,7 +5,7 @@ from collections import defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-PARTS = ("edge", "firmware_protocol", "training", "bench", "tests")
+PARTS = ("edge", "firmware_protocol", "fleet", "training", "bench", "tests")
 BAD_OPENINGS = {"what", "of", "whether", "where"}  # the reader waits for the noun or the verb
 PARTICIPLES = {
     "told",

@@ -1,0 +1,44 @@
+"""`greenhouse fleet VERB`: many rigs. Each verb has a file of its own, imported only when it is called."""
+
+import argparse
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from edge.core.errors import RequestError
+
+HELP = "many rigs: one store, one page, bundles in waves, what boxes have in common"
+VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`, and its help
+    "rigs": ("fleet.commands.rigs", "list the rigs that were ever heard"),
+}
+SETTINGS = Path("/etc/greenhouse-fleet/fleet.yaml")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verbs; only the one that is called is imported."""
+    called = next((word for word in sys.argv[2:] if word in VERBS), None)
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for name, (module_name, help_text) in VERBS.items():
+        verb = verbs.add_parser(name, help=help_text, description=f"{help_text[0].upper()}{help_text[1:]}.")
+        verb.add_argument("--settings", type=Path, default=SETTINGS, help=f"usual: {SETTINGS}")
+        if name == called:
+            module = _import(module_name)
+            module.add_arguments(verb)
+            verb.set_defaults(run_verb=module.run)
+
+
+def _import(module_name: str) -> ModuleType:
+    try:
+        return importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith(("fleet", "edge")):
+            raise
+        raise RequestError(f"{error.name} is missing: pip install 'greenhouse-twin[fleet]'") from None
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out a verb. Errors: GreenhouseError"""
+    from fleet.settings import load
+
+    return int(arguments.run_verb(load(arguments.settings), arguments))

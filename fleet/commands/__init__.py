@@ -1,0 +1,1 @@
+"""The verbs of `greenhouse fleet`: each reads its arguments, calls one room and prints."""

@@ -1,0 +1,60 @@
+"""The database: opened, its tables made, its version held."""
+
+from typing import Any
+
+from sqlalchemy import Engine, create_engine, event, make_url, select
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
+
+from edge.config.secrets import read_secret
+from edge.core.errors import DataError
+from fleet.settings import DatabaseSettings
+
+VERSION = 1  # of the tables
+BUSY_S = 30.0  # SQLite: another process holds the lock for milliseconds
+
+
+class FleetTable(DeclarativeBase):
+    """Root of every table."""
+
+
+class TableVersion(FleetTable):
+    """One row: the version that made the tables."""
+
+    __tablename__ = "table_version"
+    version: Mapped[int] = mapped_column(primary_key=True)
+
+
+def open_database(settings: DatabaseSettings) -> Engine:
+    """Open it; tables that are missing are made.
+
+    Errors : DataError for a database that cannot be reached or whose tables are of another version
+    """
+    # Every table has to be known before they are made.
+    from fleet.database import tables  # noqa: F401
+
+    url = make_url(settings.url)
+    if settings.password_file:
+        url = url.set(password=read_secret(settings.password_file, "database.password_file").value)
+    is_sqlite = url.get_backend_name() == "sqlite"
+    engine = create_engine(url, connect_args={"timeout": BUSY_S} if is_sqlite else {}, pool_pre_ping=True)
+    if is_sqlite:
+        event.listen(engine, "connect", _set_pragmas)
+    try:
+        with Session(engine) as session, session.begin():
+            FleetTable.metadata.create_all(session.connection())
+            found = session.scalars(select(TableVersion.version)).all()
+            if not found:
+                session.add(TableVersion(version=VERSION))
+    except SQLAlchemyError as error:
+        raise DataError(f"database.url: {url.render_as_string()}: {error.__cause__ or error}") from None
+    if found and list(found) != [VERSION]:
+        raise DataError(f"database.url: its tables are of version {found[0]}, this software knows {VERSION}")
+    return engine
+
+
+def _set_pragmas(connection: Any, record: object) -> None:
+    cursor = connection.cursor()
+    for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()

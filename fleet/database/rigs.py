@@ -1,0 +1,37 @@
+"""The rigs that were ever heard, and which of their ticks are in store."""
+
+from typing import Any
+
+from sqlalchemy import JSON, BigInteger, ForeignKey, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from fleet.database.base import FleetTable
+
+NAME_MAX = 64
+
+
+class FleetRig(FleetTable):
+    """A rig.
+
+    group : whose people may see it; kind : boxes that are built alike share one, "" where nobody said
+    state : the newest payload of its topic `state`, {} before the first
+    """
+
+    __tablename__ = "rigs"
+    name: Mapped[str] = mapped_column(String(NAME_MAX), primary_key=True)
+    group: Mapped[str] = mapped_column("group_name", String(NAME_MAX), default="", index=True)
+    kind: Mapped[str] = mapped_column(String(NAME_MAX), default="", index=True)
+    first_utc: Mapped[float]
+    last_utc: Mapped[float]
+    is_online: Mapped[bool] = mapped_column(default=False)
+    state: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict)
+
+
+class StoredSpan(FleetTable):
+    """Ticks of one history of a rig that are in store, both ends included; spans never touch."""
+
+    __tablename__ = "stored_spans"
+    rig: Mapped[str] = mapped_column(ForeignKey("rigs.name"), primary_key=True)
+    history_id: Mapped[str] = mapped_column(String(NAME_MAX), primary_key=True)
+    first_seq: Mapped[int] = mapped_column(BigInteger, primary_key=True)
+    last_seq: Mapped[int] = mapped_column(BigInteger)

@@ -1,0 +1,5 @@
+"""Every table, so that opening the database makes all of them. A new file of tables has a line here."""
+
+from fleet.database import rigs
+
+__all__ = ["rigs"]
