@@ -119,7 +119,7 @@ def _draw(seed: int, hand: Hand) -> BoxFacts:
         air=_air_sensor(hand, heater),
         room_sensor=_other_sensor(hand, 0.5) if ROOM_SENSORS[hand.rank("room sensor")] else None,
         humidity_sensor=_other_sensor(hand, 4.0) if HUMIDITY_SENSORS[hand.rank("humidity")] else None,
-        room=_room(hand),
+        room=draw_room(hand),
     )
 
 
@@ -154,7 +154,7 @@ def _other_sensor(hand: Hand, bias: float) -> OtherSensor:
     return OtherSensor(hand.even(-bias, bias), bias * float(hand.rng.choice([0.02, 0.125, 0.2])), 0.1 * bias)
 
 
-def _room(hand: Hand) -> RoomFacts:
+def draw_room(hand: Hand) -> RoomFacts:
     """Swings of the room, of several kinds, that together reach up to SWING_K."""
     swing_k = hand.fifteenth("swing", 0.6, SWING_K)
     shares = hand.rng.dirichlet([2.0, 1.0, 1.0, 1.0])

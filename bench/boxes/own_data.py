@@ -125,13 +125,17 @@ def learn_more(data: OwnData, described: TwinFile, running: TwinFile, hours: flo
 
 
 def free_run_k(twin: TwinFile, day: RecordedRun) -> float:
-    """Return the error of a free run over a day, which knows its first ten minutes [K]."""
+    """Return the error (RMS) of a free run over a day, which knows its first ten minutes [K]."""
+    return float(np.sqrt(np.nanmean(free_run_errors(twin, day) ** 2)))
+
+
+def free_run_errors(twin: TwinFile, day: RecordedRun) -> Floats:
+    """Return measured minus predicted of a free run that knows the day's first ten minutes, [rows] [K]."""
     usual = np.full(len(day), ControlSettings().ambient_default_c)
     room = day.columns.get("temp_ambient_c", usual)
     known = np.flatnonzero(np.isfinite(room))
     rooms = np.interp(np.arange(len(day)), known, room[known])
-    missed = forecast(twin.twin(), NamedRun("day", day, day.columns["time_s"]), rooms).residual
-    return float(np.sqrt(np.nanmean(missed**2)))
+    return np.asarray(forecast(twin.twin(), NamedRun("day", day, day.columns["time_s"]), rooms).residual)
 
 
 def measure(number: int) -> list[str]:

@@ -1,0 +1,255 @@
+"""python -m bench.boxes.fleet: a new box learnt from an hour with the prior of its fleet, from six without.
+
+Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
+All but the last were commissioned for a day and tell the fleet their twins. The last one is new: its twin is
+learnt from the first hour of step tests alone, from six hours of them, and from the first hour with the prior
+of its kind. One more of each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
+Judged by the error of a free run over another day, and by the cost of MPC-Twin-P on reference_1. Runs are
+kept in --out, so that a command that was ended goes on.
+"""
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import time as clock_time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from bench.boxes.__main__ import OF_TWIN, description, drive, rig_settings
+from bench.boxes.box import Box
+from bench.boxes.draw import DEVELOPMENT, SCORED, draw_box
+from bench.boxes.facts import BoxFacts
+from bench.boxes.own_data import free_run_errors, quiet
+from bench.boxes.reach import scaled_reference
+from bench.boxes.siblings import ODD, sibling
+from bench.header import header
+from edge.app.commission import Commissioned, learn
+from edge.app.step_test_record import STEP_S, record, test_settings
+from edge.config.settings import ControlSettings, DailyReference, ReferenceSettings
+from edge.core.errors import GreenhouseError
+from edge.formats.reader import read_json
+from edge.formats.run_file import RecordedRun, cut, read_run, resample, write_run
+from edge.storage.runs import export_stretches
+from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
+from firmware_protocol.virtual_board.plant import Plant
+from fleet.priors.fleet_prior import BoxSheet, FleetPrior, fit_prior
+from training.lab import InProcessBoard, Lab
+from training.sweep import add_arguments, sweep
+
+FLEET_H, LITTLE_H, MUCH_H = 24.0, 1.0, 6.0
+DAY_MIN = 1500.0  # after the first hour of it, a day judges
+WARM, COOL = 0.7, 0.25  # references by day and by night, shares as of scaled_reference
+REFERENCE = "reference_1"
+ODDITIES = tuple(ODD)
+KNOWN = (*DEVELOPMENT, *SCORED)
+WORTH, ODD_LIMIT = (
+    0.80,
+    1.05,
+)  # of boxes for which the prior is worth five hours; by which an odd box may lose
+
+
+@dataclass(frozen=True, slots=True)
+class FleetBox:
+    """A box that was built to a design. odd : of ODD, "" for one as designed"""
+
+    design: int
+    number: int
+    odd: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of its files."""
+        return f"{self.design}-{self.number}" + self.odd.replace(" ", "-")
+
+    @property
+    def facts(self) -> BoxFacts:
+        """The box."""
+        return sibling(draw_box(self.design), self.number, self.odd)
+
+    @property
+    def start(self) -> TwinFile:
+        """The design as a person describes it: the same for everybody who built it."""
+        return description(draw_box(self.design))
+
+
+def record_tests(out: Path, box: FleetBox, hours: float) -> None:
+    """Keep the step tests of a box."""
+    path = out / f"{box.name}.tests.csv"
+    if path.exists():
+        return
+    facts, start = box.facts, box.start
+    with tempfile.TemporaryDirectory(prefix="fleet-") as temporary:
+        body = Box(facts, facts.seed)
+        board = InProcessBoard(facts.seed, plant=Plant(body, body.parts()))
+        settings = test_settings(rig_settings(Path(temporary), start))
+        run = record(settings, board, start.fan_role != "none", 60.0 * hours, open_port=board.open)
+    write_run(run, path)
+
+
+def record_day(out: Path, box: FleetBox) -> None:
+    """Keep another day of the box, held to a daily reference by rules."""
+    path = out / f"{box.name}.day.csv"
+    if path.exists():
+        return
+    facts = box.facts
+    with tempfile.TemporaryDirectory(prefix="fleet-") as temporary:
+        body = Box(facts, facts.seed + 500)
+        cool, warm = scaled_reference(np.array([COOL, WARM]), facts).tolist()
+        steps = (DailyReference(clock_time(6), warm), DailyReference(clock_time(22), cool))
+        settings = rig_settings(Path(temporary), box.start)
+        settings = replace(
+            settings,
+            control=replace(settings.control, controller="rules"),
+            reference=ReferenceSettings(kind="daily", daily=steps, min_c=5.0),
+        )
+        plant = Plant(body, body.parts())
+        lab = Lab(settings, board="here", plant=plant, seed=facts.seed, folder=Path(temporary))
+        with lab:
+            lab.run(minutes=DAY_MIN)
+        *_, day = export_stretches(settings.history.path)
+    write_run(day, path)
+
+
+def learn_from(run: RecordedRun, start: TwinFile, hours: float) -> Commissioned:
+    """Learn a twin from the first hours. Errors: GreenhouseError"""
+    return learn(cut(run, 0, min(len(run), round(3600.0 * hours / STEP_S))), start, ControlSettings(), quiet)
+
+
+def tell_fleet(out: Path, box: FleetBox) -> None:
+    """Have the twin that a box of the fleet adopts after a day, none where it was refused."""
+    path = out / f"{box.name}.adopted.yaml"
+    if path.exists() or (out / f"{box.name}.refused").exists():
+        return
+    record_tests(out, box, FLEET_H)
+    try:
+        found = learn_from(read_run(out / f"{box.name}.tests.csv"), box.start, FLEET_H)
+    except GreenhouseError as error:
+        reasons: Sequence[str] = [str(error)]
+    else:
+        reasons = found.refusals
+        if not reasons:
+            write_twin_file(found.twin, path)
+    if reasons:
+        (out / f"{box.name}.refused").write_text("\n".join(reasons))
+
+
+def prior_of(out: Path, boxes: Sequence[FleetBox]) -> FleetPrior:
+    """Return what the boxes that adopted a twin tell of their kinds."""
+    sheets = [
+        BoxSheet(box.name, str(box.design), read_twin_file(path))
+        for box in boxes
+        if (path := out / f"{box.name}.adopted.yaml").exists()
+    ]
+    return fit_prior(sheets)
+
+
+@dataclass(frozen=True, slots=True)
+class NewBoxRow:
+    """A new box, by a way to learn; None where nothing was learnt.
+
+    error_k : of a free run over another day, mean; added : effects beside those that it began with
+    """
+
+    box: str
+    odd: str
+    way: str
+    error_k: float | None = None
+    cost: float | None = None
+    mae_k: float | None = None
+    refused: str = ""
+    added: str = ""
+
+
+WAYS = {"1 h": LITTLE_H, "6 h": MUCH_H, "1 h and prior": LITTLE_H}
+
+
+def judge_box(out: Path, box: FleetBox) -> list[NewBoxRow]:
+    """Return a row for each way to learn a new box, from files where they are kept."""
+    record_tests(out, box, MUCH_H)
+    record_day(out, box)
+    return [_row(out, box, way) for way in WAYS]
+
+
+def _row(out: Path, box: FleetBox, way: str) -> NewBoxRow:
+    path = out / f"{box.name}.{way.replace(' ', '-')}.json"
+    if path.exists():
+        return read_json(NewBoxRow, path)
+    start = read_twin_file(out / f"{box.name}.start.yaml") if "prior" in way else box.start
+    run = read_run(out / f"{box.name}.tests.csv")
+    try:
+        found = learn_from(run, start, WAYS[way])
+    except GreenhouseError as error:
+        row = NewBoxRow(box.name, box.odd, way, refused=str(error))
+    else:
+        driven = drive(box.facts, box.facts.seed, OF_TWIN, found, REFERENCE)
+        day = resample(read_run(out / f"{box.name}.day.csv"), 60.0)
+        error_k = float(np.nanmean(np.abs(free_run_errors(found.twin, day))))
+        row = NewBoxRow(
+            box.name, box.odd, way, error_k, driven.cost, driven.mae_k,
+            "; ".join(found.refusals), ", ".join(found.names),
+        )  # fmt: skip
+    path.write_text(json.dumps(asdict(row)))
+    return row
+
+
+def table(rows: Sequence[NewBoxRow]) -> Iterator[str]:
+    """Yield a line for each box, then how often the prior is worth five hours."""
+    found = {(row.box, row.way): row for row in rows}
+    odd = {row.box: bool(row.odd) for row in rows}
+    yield f"{'box':<22}" + "".join(f"{way:>24}" for way in WAYS)
+    for name in odd:
+        yield f"{name:<22}" + "".join(_figures(found[name, way]) for way in WAYS)
+    yield "mean error of a free run over another day [K], cost on reference_1; *: commissioning refuses it"
+    for key in ("error_k", "cost"):
+        ways = [{way: _number(found[name, way], key) for way in WAYS} for name in odd if not odd[name]]
+        worth = sum(one["1 h and prior"] <= one["6 h"] for one in ways)
+        yield f"{key}: 1 h with the prior is as good as 6 h without in {worth} of {len(ways)} boxes"
+        ways = [{way: _number(found[name, way], key) for way in WAYS} for name in odd if odd[name]]
+        worse = [one["1 h and prior"] / one["1 h"] - 1.0 for one in ways if np.isfinite(one["1 h"])]
+        yield f"{key}: of {len(ways)} odd boxes none is worse by the prior by more than {max(worse):.0%}"
+
+
+def _figures(row: NewBoxRow) -> str:
+    if row.error_k is None:
+        return f"{'nothing learnt':>24}"
+    return f"{row.error_k:11.2f} {row.cost:10.1f}{'*' if row.refused else ' '} "
+
+
+def _number(row: NewBoxRow, key: str) -> float:
+    value: float | None = getattr(row, key)
+    return np.inf if value is None else value
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run what is missing and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m bench.boxes.fleet", description=__doc__)
+    parser.add_argument(
+        "--designs", type=int, nargs="+", choices=(*DEVELOPMENT, *SCORED), default=[5, 8, 9, 14]
+    )
+    parser.add_argument("--built", type=int, default=5, help="boxes of each design in the fleet (usual: 5)")
+    parser.add_argument("--out", type=Path, default=Path("out") / "boxes_fleet")
+    add_arguments(parser)
+    given = parser.parse_args(words)
+    given.out.mkdir(parents=True, exist_ok=True)
+    print("\n".join(header()), flush=True)
+    fleet = [FleetBox(design, number) for design in given.designs for number in range(1, given.built + 1)]
+    sweep(partial(tell_fleet, given.out), fleet, given.workers, given.dask)
+    prior = prior_of(given.out, fleet)
+    new = [
+        FleetBox(design, given.built + 1 + is_odd, ODDITIES[i % len(ODDITIES)] if is_odd else "")
+        for i, design in enumerate(given.designs)
+        for is_odd in (False, True)
+    ]
+    for box in new:
+        write_twin_file(prior.start(box.start, str(box.design)), given.out / f"{box.name}.start.yaml")
+    lots = sweep(partial(judge_box, given.out), new, given.workers, given.dask)
+    print("\n".join(table([row for lot in lots for row in lot])))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

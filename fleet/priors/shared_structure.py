@@ -1,0 +1,72 @@
+"""Twins of different structure told by the same effects, so that their values can be compared.
+
+A box whose slow part is named `wall_mass` and one in which it is named `soil_mass` answer alike. So each twin
+is run through one course of heat and fan, and a twin of the shared structure is fitted to its answer.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.diagnosis.free_fit import fit_values, rms_k
+from edge.diagnosis.side_by_side import SideBySide
+from edge.diagnosis.unknowns import with_usual
+from edge.twin.run_batch import RunBatch
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+from edge.twin.warm_start import at_rest
+
+Floats = NDArray[np.float64]
+ROOM_C = 20.0
+NOISE_K = 0.02  # of an answer that nobody would tell apart
+# Legs of the course: share of full heat, and length in steps of the twin, which are chosen to suit a box.
+LEGS = (
+    (1.0, 20), (0.0, 20), (0.5, 40), (0.0, 40), (0.75, 80), (0.25, 80), (1.0, 240), (0.0, 240),
+    (0.5, 160), (0.1, 160), (0.8, 180), (0.0, 180),
+)  # fmt: skip
+FAN_EVERY, FAN_ROWS = 7, 3  # of so many rows the fan blows in so many, in every second leg
+# What is where a box stands, or in a sensor's error, and not in how it is built.
+OF_PLACE = (
+    "constant_heat", "ambient_offset", "sensor_bias", "solar_gain", "evapotranspiration", "respiration_heat",
+    "led_gain", "door_opening", "ua_drift", "unnamed_heat",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class SharedTwin:
+    """A twin in the shared structure. miss_k : by which its answer differs from the original's, RMS"""
+
+    file: TwinFile
+    miss_k: float
+
+
+def in_structure(twin: TwinFile, start: TwinFile, names: Sequence[str]) -> SharedTwin:
+    """Return the twin with the effects of `start` and these alone.
+
+    start : a description of the box, its values to be fitted; names : effects beside those
+    """
+    course = answer(twin)
+    file = replace(start, sample_s=twin.sample_s)
+    for name in names:
+        if name not in file.effects:
+            file = with_usual(file, name)
+    fitted = fit_values([file], (), course, NOISE_K, SideBySide())[0]
+    values = {place: Value(value.value) for place, value in fitted.file.values().items()}
+    return SharedTwin(fitted.file.with_values(values), rms_k(fitted, course))
+
+
+def answer(twin: TwinFile) -> RunBatch:
+    """Return the course and the twin's answer to it, at a room of ROOM_C, without what is of its place."""
+    kept = {name: own for name, own in twin.effects.items() if name not in OF_PLACE}
+    box = replace(twin, effects=kept).twin()
+    duty = np.repeat([share for share, _ in LEGS], [rows for _, rows in LEGS])[None]
+    second = np.repeat([i % 2 for i in range(len(LEGS))], [rows for _, rows in LEGS])
+    blows = (np.arange(duty.shape[1]) % FAN_EVERY < FAN_ROWS) & (second == 1)
+    fan = np.where(blows & (twin.fan_role != "none"), 1.0, 0.0)[None]
+    room = np.full(duty.shape, ROOM_C)
+    conditions = {name: np.zeros(duty.shape) for name in box.needs}
+    start = at_rest(box, np.array([ROOM_C]), np.array([ROOM_C]))
+    temps = box.rollout(start, duty, fan, room, conditions=conditions)
+    return RunBatch(np.concatenate([np.full((1, 1), ROOM_C), temps], axis=1), duty, fan, room, conditions)

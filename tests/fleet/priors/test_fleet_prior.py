@@ -1,0 +1,70 @@
+"""What a new box starts from: the values of its kind, the effects that its kind has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from edge.core.errors import DataError
+from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
+from edge.twin.value import Value
+from fleet.priors.fleet_prior import BoxSheet, FleetPrior, bare, fit_prior
+
+
+def sheets() -> list[BoxSheet]:
+    """Return three tents, in one of which the slow part is a wall, and two cases without one."""
+    rng, found = np.random.default_rng(1), []
+    for number in range(5):
+        is_tent = number < 3
+
+        def about(value: float) -> Value:
+            return Value(float(value * np.exp(0.1 * rng.normal())))
+
+        effects = {"extra_capacity": {"kC": about(4.0)}, "heater_lag": {"tau_h": about(120.0)}}
+        if is_tent and number % 2:
+            effects["wall_mass"] = {"C_w": about(9000.0), "G_in": about(6.0), "G_out": about(4.0)}
+        else:
+            effects["wall_loss"] = {"UA": about(2.4)}
+        if is_tent and not number % 2:
+            effects["soil_mass"] = {"C_s": about(3240.0), "G_s": about(3.6)}
+        twin = replace(TwinFile(), effects=effects, fan_role="none")
+        found.append(BoxSheet(f"box-{number}", "tent" if is_tent else "case", twin))
+    return found
+
+
+@pytest.fixture(scope="module")
+def prior() -> FleetPrior:
+    return fit_prior(sheets())
+
+
+def test_a_new_box_starts_with_the_values_of_its_kind(prior: FleetPrior, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    start = prior.start(bare(replace(TwinFile(), fan_role="none")), "tent")
+    assert set(start.effects) == {"wall_loss", "extra_capacity", "soil_mass", "heater_lag"}
+    assert start.to_fit() == []
+    assert start.effects["soil_mass"]["C_s"].value == pytest.approx(3240.0, rel=0.2)
+    assert 0.05 < (start.effects["soil_mass"]["C_s"].rel_sd or 0.0) < 0.4
+    write_twin_file(start, tmp_path / "start.yaml")
+    assert read_twin_file(tmp_path / "start.yaml").effects == start.effects
+
+
+def test_an_effect_that_its_kind_has_not_is_not_begun_with(prior: FleetPrior) -> None:
+    assert prior.structure("case") == ("heater_lag",)
+    assert prior.structure("tent") == ("soil_mass", "heater_lag")
+
+
+def test_a_new_kind_is_told_less(prior: FleetPrior) -> None:
+    box = bare(replace(TwinFile(), fan_role="none"))
+    known, new = (prior.start(box, kind).effects["wall_loss"]["UA"] for kind in ("tent", "never seen"))
+    assert (new.rel_sd or 0.0) > 1.5 * (known.rel_sd or 0.0)
+
+
+def test_a_larger_box_is_told_what_suits_its_heater(prior: FleetPrior) -> None:
+    box = bare(replace(TwinFile(), fan_role="none"))
+    large = replace(box, geometry={**box.geometry, "heater_max_w": Value(300.0)})
+    one, three = (prior.start(item, "tent").effects["wall_loss"]["UA"].value for item in (box, large))
+    assert three == pytest.approx(3.0 * one, rel=1e-4)
+
+
+def test_no_box_is_no_prior() -> None:
+    with pytest.raises(DataError, match="no box"):
+        fit_prior([])
