@@ -1,4 +1,4 @@
-"""What a new box starts from: the values of its kind, the effects that its kind has."""
+"""The start of a new box: the values of its kind, the effects that its kind has."""
 
 from dataclasses import replace
 
