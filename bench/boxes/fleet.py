@@ -1,7 +1,7 @@
 """python -m bench.boxes.fleet: a new box learnt from an hour with the prior of its fleet, from six without.
 
 Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
-All but the last were commissioned for a day and tell the fleet their twins. The last one is new: its twin is
+All but the last were commissioned for half a day and tell the fleet their twins. The last one is new: its twin is
 learnt from the first hour of step tests alone, from six hours of them, and from the first hour with the prior
 of its kind. One more of each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
 Judged by the error of a free run over another day, and by the cost of MPC-Twin-P on reference_1. Runs are
@@ -40,7 +40,7 @@ from fleet.priors.fleet_prior import BoxSheet, FleetPrior, fit_prior
 from training.lab import InProcessBoard, Lab
 from training.sweep import add_arguments, sweep
 
-FLEET_H, LITTLE_H, MUCH_H = 24.0, 1.0, 6.0
+FLEET_H, LITTLE_H, MUCH_H = 12.0, 1.0, 6.0
 DAY_MIN = 1500.0  # after the first hour of it, a day judges
 WARM, COOL = 0.7, 0.25  # references by day and by night, shares as of scaled_reference
 REFERENCE = "reference_1"
@@ -120,7 +120,7 @@ def learn_from(run: RecordedRun, start: TwinFile, hours: float) -> Commissioned:
 
 
 def tell_fleet(out: Path, box: FleetBox) -> None:
-    """Have the twin that a box of the fleet adopts after a day, none where it was refused."""
+    """Have the twin that a box of the fleet adopts after half a day, none where it was refused."""
     path = out / f"{box.name}.adopted.yaml"
     if path.exists() or (out / f"{box.name}.refused").exists():
         return
