@@ -1,9 +1,10 @@
 """python -m bench.boxes.fleet: a new box learnt from an hour with the prior of its fleet, from six without.
 
 Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
-All but the last were commissioned for half a day and tell the fleet their twins. The last one is new: its twin is
-learnt from the first hour of step tests alone, from six hours of them, and from the first hour with the prior
-of its kind. One more of each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
+All but the last were commissioned for half a day and tell the fleet their twins. The last one is new: its
+twin is learnt from the first hour of step tests alone, from six hours of them, and from the first hour with
+the prior of its kind. One more of each design is odd: a lid stands open, a heater is weaker; its fleet does
+not know.
 Judged by the error of a free run over another day, and by the cost of MPC-Twin-P on reference_1. Runs are
 kept in --out, so that a command that was ended goes on.
 """
