@@ -88,6 +88,8 @@ def record_tests(out: Path, box: FleetBox, hours: float) -> None:
         board = InProcessBoard(facts.seed, plant=Plant(body, body.parts()))
         settings = test_settings(rig_settings(Path(temporary), start))
         run = record(settings, board, start.fan_role != "none", 60.0 * hours, open_port=board.open)
+    if len(run) < 3600.0 * hours / STEP_S:
+        raise GreenhouseError(f"{box.name}: the tests were ended after {len(run)} rows")
     write_run(run, path)
 
 
