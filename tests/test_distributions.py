@@ -36,7 +36,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_rigs_distribution_carries_no_training_code(copy: Path) -> None:
     names = built(copy)
     folders = {name.split("/")[0] for name in names if ".dist-info" not in name}
-    assert folders == {"edge", "firmware_protocol"}
+    assert folders == {"edge", "firmware_protocol", "fleet"}
     script = next(name for name in names if name.endswith("entry_points.txt"))
     assert script and "edge/__main__.py" in names and "edge/models/default_arx.json" in names
 

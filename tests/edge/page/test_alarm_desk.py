@@ -408,6 +408,7 @@ def test_signs_of_life_end_with_the_daemon_its_ticks_or_the_looks(rig: DeskRig) 
             assert "withheld" in await desk.test(LIFE_SIGN)  # no false sign by a test, either
             rig.rig.now = view()
             await until(lambda: len(sink.heard) == 3)
+            await looks(desk)  # that tick is seen before the time that passes without another
             rig.clock.time_s += 200.0  # it answers, but its last tick stays the same
             await looks(desk)
             heard = len(sink.heard)  # a look that was under way may have given one more
