@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from edge.config.loading import all_problems
 from edge.config.settings import URL, MqttSettings
-from edge.core.errors import ConfigError
 from edge.formats.cross_check import Section, text
-from edge.formats.reader import DocumentError, read_yaml
+from edge.formats.reader import read_yaml
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,5 @@ class FleetSettings(Section):
 
 def load(path: Path) -> FleetSettings:
     """Load settings from a YAML file. Errors: ConfigError, a line for each wrong key"""
-    try:
+    with all_problems(path):
         return read_yaml(FleetSettings, path)
-    except DocumentError as error:
-        raise ConfigError("\n".join(f"{path}: {problem}" for problem in error.problems)) from error

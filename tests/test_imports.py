@@ -132,18 +132,22 @@ def test_only_the_lab_runs_a_daemon_in_simulated_time() -> None:
     assert wiring == {"training/lab.py", "bench/default_daemon.py"}
 
 
+def upward(package: str, room: str, rank: dict[str, int]) -> list[str]:
+    """Imports of a room that lead to rooms beside or above it."""
+    return [
+        f"{path.relative_to(ROOT)} imports {module}"
+        for path in sources(f"{package}/{room}")
+        for module in imported(path)
+        if module.startswith(f"{package}.")
+        and (other := module.split(".")[1]) in rank
+        and other != room
+        and rank[other] <= rank[room]
+    ]
+
+
 @pytest.mark.parametrize("room", RANK)
 def test_a_room_imports_only_rooms_below_it(room: str) -> None:
-    broken = [
-        f"{path.relative_to(ROOT)} imports {module}"
-        for path in sources(f"edge/{room}")
-        for module in imported(path)
-        if module.startswith("edge.")
-        and (other := module.split(".")[1]) in RANK
-        and other != room
-        and RANK[other] <= RANK[room]
-    ]
-    assert broken == []
+    assert upward("edge", room, RANK) == []
 
 
 def test_fleet_holds_the_rooms_of_its_list() -> None:
@@ -155,17 +159,7 @@ def test_fleet_holds_the_rooms_of_its_list() -> None:
 
 @pytest.mark.parametrize("room", [room for line in FLEET for room in line])
 def test_a_room_of_the_fleet_imports_only_rooms_below_it(room: str) -> None:
-    rank = {name: rank for rank, line in enumerate(FLEET) for name in line}
-    broken = [
-        f"{path.relative_to(ROOT)} imports {module}"
-        for path in sources(f"fleet/{room}")
-        for module in imported(path)
-        if module.startswith("fleet.")
-        and (other := module.split(".")[1]) in rank
-        and other != room
-        and rank[other] <= rank[room]
-    ]
-    assert broken == []
+    assert upward("fleet", room, {name: rank for rank, line in enumerate(FLEET) for name in line}) == []
 
 
 def test_a_room_says_what_belongs_in_it() -> None:

@@ -47,10 +47,6 @@ WARM, COOL = 0.7, 0.25  # references by day and by night, shares as of scaled_re
 REFERENCE = "reference_1"
 ODDITIES = tuple(ODD)
 KNOWN = (*DEVELOPMENT, *SCORED)
-WORTH, ODD_LIMIT = (
-    0.80,
-    1.05,
-)  # of boxes for which the prior is worth five hours; by which an odd box may lose
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,18 +19,18 @@ def default() -> Settings:
 
 def load(path: str | Path) -> Settings:
     """Load settings from a YAML file. Raises ConfigError, which names file and key"""
-    with _all_problems(path):
+    with all_problems(path):
         return read_yaml(Settings, Path(path))
 
 
 def parse(source: str, place: str = "edge.yaml") -> Settings:
     """Parse settings from YAML text; `place` is named in errors."""
-    with _all_problems(place):
+    with all_problems(place):
         return read(Settings, parse_yaml(source, place), place, null_is_empty=True)
 
 
 @contextmanager
-def _all_problems(place: str | Path) -> Iterator[None]:
+def all_problems(place: str | Path) -> Iterator[None]:
     """Report each problem in a line, so that a person corrects them in one go."""
     try:
         yield
