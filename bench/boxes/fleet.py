@@ -1,10 +1,10 @@
 """python -m bench.boxes.fleet: a new box learnt from an hour with the prior of its fleet, from six without.
 
 Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
-All but the last were commissioned for half a day and tell the fleet their twins. The last one is new: its
-twin is learnt from the first hour of step tests alone, from six hours of them, and from the first hour with
-the prior of its kind. One more of each design is odd: a lid stands open, a heater is weaker; its fleet does
-not know.
+Every box was commissioned for half a day and tells the fleet its twin. Leave one out: to each in turn, as if
+it were new, the others give a prior; its twin is learnt from the first hour of its step tests alone, from six
+hours of them, and from the first hour with the prior. One more of each design is odd: a lid stands open, a
+heater is weaker; its fleet does not know.
 Judged by the error of a free run over another day, and by the cost of MPC-Twin-P on reference_1. Runs are
 kept in --out, so that a command that was ended goes on.
 """
@@ -146,6 +146,20 @@ def prior_of(out: Path, boxes: Sequence[FleetBox]) -> FleetPrior:
     return fit_prior(sheets)
 
 
+def place_of(out: Path, fleet: Sequence[FleetBox]) -> Path:
+    """Return the folder of all that is learnt with the prior of this fleet."""
+    designs = "_".join(dict.fromkeys(str(box.design) for box in fleet))
+    return out / f"prior_of_{designs}_built_{max(box.number for box in fleet)}"
+
+
+def give_start(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> None:
+    """Keep the twin from which a box starts, by the prior of all others."""
+    path = place_of(out, fleet) / f"{box.name}.start.yaml"
+    if not path.exists():
+        prior = prior_of(out, [other for other in fleet if other != box])
+        write_twin_file(prior.start(box.start, str(box.design)), path)
+
+
 @dataclass(frozen=True, slots=True)
 class NewBoxRow:
     """A new box, by a way to learn; None where nothing was learnt.
@@ -166,18 +180,20 @@ class NewBoxRow:
 WAYS = {"1 h": LITTLE_H, "6 h": MUCH_H, "1 h and prior": LITTLE_H}
 
 
-def judge_box(out: Path, box: FleetBox) -> list[NewBoxRow]:
+def judge_box(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> list[NewBoxRow]:
     """Return a row for each way to learn a new box, from files where they are kept."""
-    record_tests(out, box, MUCH_H)
+    record_tests(out, box, MUCH_H)  # of a box of the fleet there are more
     record_day(out, box)
-    return [_row(out, box, way) for way in WAYS]
+    return [_row(out, fleet, box, way) for way in WAYS]
 
 
-def _row(out: Path, box: FleetBox, way: str) -> NewBoxRow:
-    path = out / f"{box.name}.{way.replace(' ', '-')}.json"
+def _row(out: Path, fleet: Sequence[FleetBox], box: FleetBox, way: str) -> NewBoxRow:
+    has_prior = "prior" in way
+    place = place_of(out, fleet) if has_prior else out
+    path = place / f"{box.name}.{way.replace(' ', '-')}.json"
     if path.exists():
         return read_json(NewBoxRow, path)
-    start = read_twin_file(out / f"{box.name}.start.yaml") if "prior" in way else box.start
+    start = read_twin_file(place / f"{box.name}.start.yaml") if has_prior else box.start
     run = read_run(out / f"{box.name}.tests.csv")
     try:
         found = learn_from(run, start, WAYS[way])
@@ -233,19 +249,17 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("out") / "boxes_fleet")
     add_arguments(parser)
     given = parser.parse_args(words)
-    given.out.mkdir(parents=True, exist_ok=True)
     print("\n".join(header()), flush=True)
     fleet = [FleetBox(design, number) for design in given.designs for number in range(1, given.built + 1)]
+    place_of(given.out, fleet).mkdir(parents=True, exist_ok=True)
     sweep(partial(tell_fleet, given.out), fleet, given.workers, given.dask)
-    prior = prior_of(given.out, fleet)
-    new = [
-        FleetBox(design, given.built + 1 + is_odd, ODDITIES[i % len(ODDITIES)] if is_odd else "")
+    odd = [
+        FleetBox(design, given.built + 1, ODDITIES[i % len(ODDITIES)])
         for i, design in enumerate(given.designs)
-        for is_odd in (False, True)
     ]
-    for box in new:
-        write_twin_file(prior.start(box.start, str(box.design)), given.out / f"{box.name}.start.yaml")
-    lots = sweep(partial(judge_box, given.out), new, given.workers, given.dask)
+    new = [*fleet, *odd]
+    sweep(partial(give_start, given.out, fleet), new, given.workers, given.dask)
+    lots = sweep(partial(judge_box, given.out, fleet), new, given.workers, given.dask)
     print("\n".join(table([row for lot in lots for row in lot])))
     return 0
 
