@@ -37,7 +37,7 @@ from edge.formats.run_file import RecordedRun, cut, read_run, resample, write_ru
 from edge.storage.runs import export_stretches
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from firmware_protocol.virtual_board.plant import Plant
-from fleet.priors.fleet_prior import BoxSheet, FleetPrior, fit_prior
+from fleet.priors.fleet_prior import BoxSheet, fit_prior
 from training.lab import InProcessBoard, Lab
 from training.sweep import add_arguments, sweep
 
@@ -136,14 +136,13 @@ def tell_fleet(out: Path, box: FleetBox) -> None:
         (out / f"{box.name}.refused").write_text("\n".join(reasons))
 
 
-def prior_of(out: Path, boxes: Sequence[FleetBox]) -> FleetPrior:
-    """Return what the boxes that adopted a twin tell of their kinds."""
-    sheets = [
-        BoxSheet(box.name, str(box.design), read_twin_file(path))
+def sheets_of(out: Path, boxes: Sequence[FleetBox]) -> dict[FleetBox, BoxSheet]:
+    """Return what the boxes that adopted a twin tell."""
+    return {
+        box: BoxSheet(box.name, str(box.design), read_twin_file(path))
         for box in boxes
         if (path := out / f"{box.name}.adopted.yaml").exists()
-    ]
-    return fit_prior(sheets)
+    }
 
 
 def place_of(out: Path, fleet: Sequence[FleetBox]) -> Path:
@@ -152,12 +151,14 @@ def place_of(out: Path, fleet: Sequence[FleetBox]) -> Path:
     return out / f"prior_of_{designs}_built_{max(box.number for box in fleet)}"
 
 
-def give_start(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> None:
-    """Keep the twin from which a box starts, by the prior of all others."""
-    path = place_of(out, fleet) / f"{box.name}.start.yaml"
-    if not path.exists():
-        prior = prior_of(out, [other for other in fleet if other != box])
-        write_twin_file(prior.start(box.start, str(box.design)), path)
+def give_starts(out: Path, fleet: Sequence[FleetBox], new: Sequence[FleetBox]) -> None:
+    """Keep the twin from which each box starts, by the prior of all others."""
+    sheets = sheets_of(out, fleet)
+    for box in new:
+        path = place_of(out, fleet) / f"{box.name}.start.yaml"
+        if not path.exists():
+            prior = fit_prior([sheet for other, sheet in sheets.items() if other != box])
+            write_twin_file(prior.start(box.start, str(box.design)), path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,7 +259,7 @@ def main(words: Sequence[str] | None = None) -> int:
         for i, design in enumerate(given.designs)
     ]
     new = [*fleet, *odd]
-    sweep(partial(give_start, given.out, fleet), new, given.workers, given.dask)
+    give_starts(given.out, fleet, new)
     lots = sweep(partial(judge_box, given.out, fleet), new, given.workers, given.dask)
     print("\n".join(table([row for lot in lots for row in lot])))
     return 0

@@ -6,6 +6,7 @@ tell a new kind something.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -22,10 +23,11 @@ ALWAYS = ("wall_loss", "extra_capacity")
 BY_FAN = {"exhaust": ("fan_effectiveness",), "stirring": ("stirred_loss",), "none": ()}
 SAME_ANSWER = {"wall_mass": "soil_mass"}  # told as the one that keeps the loss as a value of its own
 OF_BOX = ("soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "heater_saturation", "heater_sag")
+KEPT_BOXES = 4096  # in memory
 LEAST_SHARE = 1e-6  # of what is usual: the logarithm needs more than nothing
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class BoxSheet:
     """A box as the fleet knows it: its name, its kind, and the twin that it adopted."""
 
@@ -78,13 +80,22 @@ def fit_prior(sheets: Sequence[BoxSheet]) -> FleetPrior:
     shares = _shares(sheets)
     found: dict[tuple[str, str], list[tuple[float, str]]] = {}
     for sheet in sheets:
-        shared = in_structure(sheet.twin, bare(sheet.twin), _likely(shares[sheet.kind])).file
-        for place in _places(shared):
-            share = shared.values()[place].value / shared.usual(place).start
-            own = found.setdefault((place[1], place[2]), [])
-            own.append((float(np.log(max(share, LEAST_SHARE))), sheet.kind))
+        for name, value in _told(sheet, _likely(shares[sheet.kind])).items():
+            found.setdefault(name, []).append((value, sheet.kind))
     values = {name: fit_population(*zip(*own, strict=True)) for name, own in found.items()}
     return FleetPrior(shares, values)
+
+
+# Seconds a box; priors of two days, or with one box left out, share most of them.
+@lru_cache(maxsize=KEPT_BOXES)
+def _told(sheet: BoxSheet, names: tuple[str, ...]) -> dict[tuple[str, str], float]:
+    """Return the values of a box in the structure of its kind, as logarithms of shares of the usual."""
+    shared = in_structure(sheet.twin, bare(sheet.twin), names).file
+    shares = {
+        (place[1], place[2]): shared.values()[place].value / shared.usual(place).start
+        for place in _places(shared)
+    }
+    return {name: float(np.log(max(share, LEAST_SHARE))) for name, share in shares.items()}
 
 
 def bare(twin: TwinFile) -> TwinFile:
