@@ -162,7 +162,8 @@ class Daemon:
         show: Callable[[LoopStatus], None] = lambda status: None  # noqa: E731
         show_commissioning: ShowState | None = None
         if settings.mqtt.enabled:
-            telemetry = Telemetry(settings, routes.ask, inbox.post, lambda: outbox_of(settings))
+            own_twin = bundles.own_twin_file if bundles else lambda: None
+            telemetry = Telemetry(settings, routes.ask, inbox.post, lambda: outbox_of(settings), own_twin)
             stack.callback(telemetry.close)
             desk.listeners.append(telemetry.show_proposal)
             sinks.append(telemetry)

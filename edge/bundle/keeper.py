@@ -232,6 +232,11 @@ class BundleKeeper:
         active = self.serving.active
         return None if active is None else self._store.folder_of(active.name) / TWIN
 
+    def own_twin_file(self) -> Path | None:
+        """Return the twin file of the active bundle, None where that is the packaged one. Thread-safe."""
+        active = self.serving.active
+        return None if active is None or active.name == PACKAGED else self.twin_file()
+
     def close(self) -> None:
         """End the thread after the job that runs."""
         self._jobs.put(None)

@@ -1,9 +1,12 @@
 """Payloads of the live topics, made from the control loop's status."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from edge.core.names import SIGNALS
+from edge.twin.twin_file import read_twin_file, twin_document
 
 Json = dict[str, Any]
 
@@ -84,6 +87,14 @@ def drift(status: Mapping[str, Any]) -> Json:
     tick = status["tick"]
     found = status.get("drift") or {"state": "unknown", "text": "the twin is not watched"}
     return {"seq": tick["seq"], "utc": tick["utc"], **found}
+
+
+def twin(path: Path) -> Json:
+    """Return the twin that runs, as its file has it, but for what is told of the runs that it was fitted to.
+
+    Errors : DataError
+    """
+    return {"bundle": path.parent.name, "twin": twin_document(replace(read_twin_file(path), provenance={}))}
 
 
 def _measurements(readings: Mapping[str, Any]) -> Json:

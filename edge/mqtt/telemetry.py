@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from paho.mqtt.client import Client, ConnectFlags, MQTTMessage
@@ -53,13 +54,21 @@ class Telemetry:
     ask : answers a request, with a time limit of its own
     post : gives a request to the control thread without waiting, and a place for its answer
     open_outbox : called once, in the thread that will use it
+    own_twin : file of the twin of this rig's box that runs; None while the packaged one does
     Errors : ConfigError for a wrong file or host; a broker that is away is none
     """
 
     def __init__(
-        self, settings: Settings, ask: Ask, post: Post, open_outbox: Callable[[], MessageQueue]
+        self,
+        settings: Settings,
+        ask: Ask,
+        post: Post,
+        open_outbox: Callable[[], MessageQueue],
+        own_twin: Callable[[], Path | None] = lambda: None,
     ) -> None:
         self._settings, self._ask, self._post, self._open_outbox = settings, ask, post, open_outbox
+        self._own_twin = own_twin
+        self._twin_published: Path | None = None
         self._topics = Topics.of(settings.mqtt)
         self._offline = f"not connected to {settings.mqtt.host}:{settings.mqtt.port} yet"
         self._fault = ""
@@ -297,6 +306,7 @@ class Telemetry:
         if commissioning is not None and (greet or commissioning is not self._commissioning_published):
             self._publish(self._topics.commissioning, commissioning, qos=1, retain=True)
             self._commissioning_published = commissioning
+        self._publish_twin(greet)
         if greet:  # the topic is not retained: a proposal of a daemon that is no more cannot be confirmed
             self._publish(self._topics.proposal, self._proposal, qos=1)
         while self._proposals:
@@ -305,6 +315,16 @@ class Telemetry:
             self._proposal = proposal
         while self._events:
             self._publish(self._topics.event, event_json(self._events.popleft()), qos=1)
+
+    def _publish_twin(self, greet: bool) -> None:
+        path = self._own_twin()
+        if path == self._twin_published and not greet:
+            return
+        self._twin_published = path
+        if path is None:
+            self._client.publish(self._topics.twin, b"", qos=1, retain=True)
+        else:
+            self._publish(self._topics.twin, states.twin(path), qos=1, retain=True)
 
     def _publish_state(self, status: Mapping[str, Any]) -> None:
         counters: dict[str, int | None] = {

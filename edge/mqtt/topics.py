@@ -60,10 +60,15 @@ class Topics:
         return f"{self.root}/commissioning"
 
     @property
+    def twin(self) -> str:
+        """The twin of the active bundle, retained; nothing where that is the packaged one."""
+        return f"{self.root}/twin"
+
+    @property
     def retained(self) -> tuple[str, ...]:
         """All that stays at the broker until it is taken away."""
         live = (self.state, self.decision, self.forecast, self.forecasts, self.skill, self.drift)
-        return (self.discovery, self.availability, *live, self.commissioning)
+        return (self.discovery, self.availability, *live, self.commissioning, self.twin)
 
     @property
     def decision(self) -> str:

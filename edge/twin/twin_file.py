@@ -136,7 +136,16 @@ def read_twin_file(path: Source) -> TwinFile:
 
 def write_twin_file(file: TwinFile, path: Path) -> None:
     """Write a file that `read_twin_file` reads back to the same. Errors: OSError."""
-    document = {
+    # Flow style for the innermost mappings alone: `UA: {value: 5.1, low: 4.8, high: 5.4}`.
+    text = yaml.safe_dump(
+        twin_document(file), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
+    )
+    write_atomically(path, text)
+
+
+def twin_document(file: TwinFile) -> dict[str, Any]:
+    """Return the file's content: mappings, texts and numbers."""
+    return {
         "geometry": {name: value.document() for name, value in file.geometry.items()},
         **({} if file.fan_role == FAN_ROLES[0] else {"fan_role": file.fan_role}),
         **({} if file.fan_control == FAN_CONTROLS[0] else {"fan_control": file.fan_control}),
@@ -150,9 +159,6 @@ def write_twin_file(file: TwinFile, path: Path) -> None:
         "nuisance": dict(file.nuisance),
         "provenance": dict(file.provenance),
     }
-    # Flow style for the innermost mappings alone: `UA: {value: 5.1, low: 4.8, high: 5.4}`.
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
-    write_atomically(path, text)
 
 
 def _twin_file(document: TwinDocument) -> TwinFile:

@@ -80,7 +80,7 @@ def fit_prior(sheets: Sequence[BoxSheet]) -> FleetPrior:
     shares = _shares(sheets)
     found: dict[tuple[str, str], list[tuple[float, str]]] = {}
     for sheet in sheets:
-        for name, value in _told(sheet, _likely(shares[sheet.kind])).items():
+        for name, value in _shared_values(sheet, _likely(shares[sheet.kind])).items():
             found.setdefault(name, []).append((value, sheet.kind))
     values = {name: fit_population(*zip(*own, strict=True)) for name, own in found.items()}
     return FleetPrior(shares, values)
@@ -88,7 +88,7 @@ def fit_prior(sheets: Sequence[BoxSheet]) -> FleetPrior:
 
 # Seconds a box; priors of two days, or with one box left out, share most of them.
 @lru_cache(maxsize=KEPT_BOXES)
-def _told(sheet: BoxSheet, names: tuple[str, ...]) -> dict[tuple[str, str], float]:
+def _shared_values(sheet: BoxSheet, names: tuple[str, ...]) -> dict[tuple[str, str], float]:
     """Return the values of a box in the structure of its kind, as logarithms of shares of the usual."""
     shared = in_structure(sheet.twin, bare(sheet.twin), names).file
     shares = {

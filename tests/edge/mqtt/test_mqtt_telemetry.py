@@ -7,11 +7,13 @@ import subprocess
 import sys
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings, tick
+from edge import models
 from edge.__main__ import main
 from edge.core.errors import ConfigError, RequestError
 from edge.core.messages import Echo, Event, Severity
@@ -19,6 +21,7 @@ from edge.mqtt import connection, telemetry
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
 from edge.sockets.control_socket import ControlSocket
+from edge.twin.twin_file import read_twin_file, write_twin_file
 
 pytestmark = [pytest.mark.usefixtures("quick_reconnect"), needs_mosquitto]
 pytest_plugins = ["rig_places"]
@@ -32,11 +35,14 @@ def broker(tmp_path):
         yield running
 
 
+TWIN_FILE = Path(models.__file__).with_name("default_bundle") / "twin.yaml"
+
+
 @contextmanager
-def running(port, loop=None, outbox=None, **mqtt):
+def running(port, loop=None, outbox=None, own_twin=lambda: TWIN_FILE, **mqtt):
     outbox = outbox or MemoryOutbox()
     loop = loop or ControlLoop()
-    own = Telemetry(settings(port, **mqtt), loop.ask, loop.post, lambda: outbox)
+    own = Telemetry(settings(port, **mqtt), loop.ask, loop.post, lambda: outbox, own_twin)
     try:
         yield own
     finally:
@@ -70,6 +76,25 @@ def test_a_late_subscriber_finds_all_that_is_retained(broker):
             wanted = {AVAILABILITY, STATE, f"{ROOT}/decision", f"{ROOT}/forecast", DISCOVERY}
             wanted |= {f"{ROOT}/forecasts", f"{ROOT}/skill", f"{ROOT}/drift"}
             wait_for(lambda: wanted <= {message.topic for message in listener.heard})
+
+
+def test_the_twin_that_runs_is_told_without_its_origin_and_taken_back(broker, tmp_path):
+    file = replace(read_twin_file(TWIN_FILE), provenance={"runs": ["a-private-run.csv"]})
+    (tmp_path / "box-2").mkdir()
+    write_twin_file(file, tmp_path / "box-2" / "twin.yaml")
+    own_twin = [None, tmp_path / "box-2" / "twin.yaml", None]
+    with Listener(broker.port) as listener, running(broker.port, own_twin=lambda: own_twin[0]):
+        wait_for(lambda: listener.payloads(f"{ROOT}/twin") == [b""])
+        del own_twin[0]
+        wait_for(lambda: len(listener.payloads(f"{ROOT}/twin")) == 2)
+        del own_twin[0]
+        wait_for(lambda: len(listener.payloads(f"{ROOT}/twin")) == 3)
+    _, told, taken_back = listener.payloads(f"{ROOT}/twin")
+    assert b"private" not in told and taken_back == b""
+    told = json.loads(told)
+    assert told["bundle"] == "box-2"
+    (tmp_path / "told.yaml").write_text(json.dumps(told["twin"]))
+    assert read_twin_file(tmp_path / "told.yaml") == replace(file, provenance={})
 
 
 def test_replies_events_and_proposals_are_not_retained(broker):
