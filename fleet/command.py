@@ -10,7 +10,12 @@ from edge.core.errors import RequestError
 
 HELP = "many rigs: one store, one page, bundles in waves, what boxes have in common"
 VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`, and its help
+    "prior": ("fleet.commands.prior", "write the start of a new box's twin, from those of its kind"),
     "rigs": ("fleet.commands.rigs", "list the rigs that were ever heard"),
+    "work": (
+        "fleet.commands.work",
+        "do the jobs of a night: what boxes have in common, which are unlike",
+    ),
 }
 SETTINGS = Path("/etc/greenhouse-fleet/fleet.yaml")
 

@@ -13,7 +13,7 @@ from edge.core.plain_text import quote
 from edge.formats.atomic_file import write_atomically
 from edge.formats.cross_check import Rule
 from edge.formats.input_file import Source
-from edge.formats.reader import read_yaml
+from edge.formats.reader import read, read_yaml
 from edge.twin.effects.effect import EffectParameter
 from edge.twin.effects.library import EFFECTS, check_names
 from edge.twin.geometry import Geometry, Scale, scale_of
@@ -131,6 +131,13 @@ def read_twin_file(path: Source) -> TwinFile:
         file.twin()  # values that no twin can have are refused now
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
+    return file
+
+
+def twin_of(document: Mapping[str, Any]) -> TwinFile:
+    """Return the twin of a file's content, as `twin_document` makes it. Errors: DataError naming the key"""
+    file = _twin_file(read(TwinDocument, document))
+    file.twin()
     return file
 
 

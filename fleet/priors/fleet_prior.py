@@ -23,6 +23,7 @@ ALWAYS = ("wall_loss", "extra_capacity")
 BY_FAN = {"exhaust": ("fan_effectiveness",), "stirring": ("stirred_loss",), "none": ()}
 SAME_ANSWER = {"wall_mass": "soil_mass"}  # told as the one that keeps the loss as a value of its own
 OF_BOX = ("soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "heater_saturation", "heater_sag")
+FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 KEPT_BOXES = 4096  # in memory
 LEAST_SHARE = 1e-6  # of what is usual: the logarithm needs more than nothing
 
@@ -34,6 +35,19 @@ class BoxSheet:
     rig: str
     kind: str
     twin: TwinFile
+
+
+@dataclass(frozen=True, slots=True)
+class FarValue:
+    """A value of a box that is far from its kind's.
+
+    ratio : to what is usual for the kind; spreads : between them, of the kind's
+    """
+
+    effect: str
+    parameter: str
+    ratio: float
+    spreads: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +77,16 @@ class FleetPrior:
                 file = with_usual(file, name)
         known = {place: self._value(file, place, kind) for place in _places(file)}
         return file.with_values({place: value for place, value in known.items() if value is not None})
+
+    def far_values(self, sheet: BoxSheet) -> list[FarValue]:
+        """Return the values of a box that are more than FAR_SPREADS from what is usual for its kind."""
+        found = []
+        for name, own in _shared_values(sheet, self.structure(sheet.kind)).items():
+            about = self.values[name].of_kind(sheet.kind)
+            spreads = (own - about.mean) / about.sd
+            if abs(spreads) > FAR_SPREADS:
+                found.append(FarValue(*name, float(np.exp(own - about.mean)), float(spreads)))
+        return found
 
     def _value(self, file: TwinFile, place: Place, kind: str) -> Value | None:
         population = self.values.get((place[1], place[2]))
