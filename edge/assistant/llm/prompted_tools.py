@@ -9,6 +9,7 @@ from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.wire import Chat, Message, Reply, Schema, ToolCall, ToolSpec, Turn, read_object
 
 TOOL, ARGUMENTS = "tool", "arguments"
+TEXT_MAX = 240  # characters of an argument: a small model's statement goes on until its tokens are used up
 _HEAD = (
     "You have tools. To use one, answer with one JSON object and nothing else: "
     f'{{"{TOOL}": <its name>, "{ARGUMENTS}": {{...}}}}. The next message holds its result. You may use tools '
@@ -36,7 +37,7 @@ def _with_calls(chat: Chat) -> Schema | None:
     calls = [
         {
             "type": "object",
-            "properties": {TOOL: {"const": tool.name}, ARGUMENTS: dict(tool.parameters)},
+            "properties": {TOOL: {"const": tool.name}, ARGUMENTS: _bounded(tool.parameters)},
             "required": [TOOL, ARGUMENTS],
             "additionalProperties": False,
         }
@@ -44,6 +45,15 @@ def _with_calls(chat: Chat) -> Schema | None:
     ]
     forms = calls if chat.turn is Turn.CALL else [*calls, dict(chat.schema.schema)]
     return Schema(chat.schema.name, forms[0] if len(forms) == 1 else {"anyOf": forms})
+
+
+def _bounded(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a schema of arguments whose texts end."""
+    properties = {
+        name: {"maxLength": TEXT_MAX, **own} if own.get("type") == "string" else own
+        for name, own in parameters.get("properties", {}).items()
+    }
+    return {**parameters, "properties": properties}
 
 
 def read_call(reply: Reply) -> Reply:
