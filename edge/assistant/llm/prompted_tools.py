@@ -9,7 +9,7 @@ from edge.assistant.llm.failure import LlmFailure
 from edge.assistant.llm.wire import Chat, Message, Reply, Schema, ToolCall, ToolSpec, Turn, read_object
 
 TOOL, ARGUMENTS = "tool", "arguments"
-TEXT_MAX = 240  # characters of an argument: a small model's statement goes on until its tokens are used up
+TEXT_MAX = 240  # characters in a form: a small model's sentence goes on until its tokens are used up
 _HEAD = (
     "You have tools. To use one, answer with one JSON object and nothing else: "
     f'{{"{TOOL}": <its name>, "{ARGUMENTS}": {{...}}}}. The next message holds its result. You may use tools '
@@ -32,8 +32,11 @@ def without_native_tools(chat: Chat) -> Chat:
 
 def _with_calls(chat: Chat) -> Schema | None:
     """Return the schema of a call of a tool, of the answer, or of either, as it is asked for."""
-    if chat.schema is None or chat.turn is Turn.ANSWER:
-        return chat.schema
+    if chat.schema is None:
+        return None
+    answer = _bounded(chat.schema.schema)
+    if chat.turn is Turn.ANSWER:
+        return Schema(chat.schema.name, answer)
     calls = [
         {
             "type": "object",
@@ -43,17 +46,17 @@ def _with_calls(chat: Chat) -> Schema | None:
         }
         for tool in chat.tools
     ]
-    forms = calls if chat.turn is Turn.CALL else [*calls, dict(chat.schema.schema)]
+    forms = calls if chat.turn is Turn.CALL else [*calls, answer]
     return Schema(chat.schema.name, forms[0] if len(forms) == 1 else {"anyOf": forms})
 
 
-def _bounded(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a schema of arguments whose texts end."""
+def _bounded(schema: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of an object whose texts end."""
     properties = {
         name: {"maxLength": TEXT_MAX, **own} if own.get("type") == "string" else own
-        for name, own in parameters.get("properties", {}).items()
+        for name, own in schema.get("properties", {}).items()
     }
-    return {**parameters, "properties": properties}
+    return {**schema, "properties": properties} if properties else dict(schema)
 
 
 def read_call(reply: Reply) -> Reply:

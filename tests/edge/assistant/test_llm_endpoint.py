@@ -211,13 +211,19 @@ def test_the_form_admits_a_call_the_answer_or_either_as_it_is_asked(tmp_path: Pa
     assert line.bodies[3]["messages"] == line.bodies[2]["messages"]
 
 
-def test_a_text_in_a_call_of_the_form_ends(tmp_path: Path) -> None:
+def test_a_text_in_the_form_of_a_call_or_an_answer_ends(tmp_path: Path) -> None:
     given = {"type": "object", "properties": {"query": {"type": "string"}, "at": {"type": "integer"}}}
-    line = ScriptedLine(error(400, "no tools"), says('{"tool": "ask", "arguments": {"query": "x"}}'))
+    tool, answer = ToolSpec("ask", "asks", given), Schema("answer", given)
+    line = ScriptedLine(error(400, "no tools"), says('{"tool": "ask", "arguments": {}}'), says("{}"))
     with endpoint(tmp_path, line) as made:
-        made.chat(HELLO, [ToolSpec("ask", "asks", given)], schema=SCHEMA, turn=Turn.CALL)
-    form = line.bodies[1]["response_format"]["json_schema"]["schema"]["properties"]["arguments"]
-    assert form["properties"] == {"query": {"type": "string", "maxLength": 240}, "at": {"type": "integer"}}
+        made.chat(HELLO, [tool], schema=answer, turn=Turn.CALL)
+        made.chat(HELLO, [tool], schema=answer, turn=Turn.ANSWER)
+    call, last = (body["response_format"]["json_schema"]["schema"] for body in line.bodies[1:])
+    for form in (call["properties"]["arguments"], last):
+        assert form["properties"] == {
+            "query": {"type": "string", "maxLength": 240},
+            "at": {"type": "integer"},
+        }
 
 
 def test_natively_spoken_tools_are_not_offered_when_the_answer_is_due(tmp_path: Path) -> None:
