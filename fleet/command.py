@@ -11,6 +11,10 @@ from edge.core.errors import RequestError
 HELP = "many rigs: one store, one page, bundles in waves, what boxes have in common"
 VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`, and its help
     "prior": ("fleet.commands.prior", "write the start of a new box's twin, from those of its kind"),
+    "ingest": (
+        "fleet.commands.ingest",
+        "store what rigs send, and ask for what is missing",
+    ),
     "rigs": ("fleet.commands.rigs", "list the rigs that were ever heard"),
     "work": (
         "fleet.commands.work",

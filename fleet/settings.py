@@ -5,7 +5,7 @@ from pathlib import Path
 
 from edge.config.loading import all_problems
 from edge.config.settings import URL, MqttSettings
-from edge.formats.cross_check import Section, text
+from edge.formats.cross_check import Section, number, text, whole
 from edge.formats.reader import read_yaml
 
 
@@ -25,7 +25,30 @@ class DatabaseSettings(Section):
 class NumbersSettings(Section):
     """Every number of every tick."""
 
-    url: str = text("http://127.0.0.1:8428", "VictoriaMetrics, or vmauth in front of a cluster", pattern=URL)
+    url: str = text(
+        "http://127.0.0.1:8428",
+        "VictoriaMetrics: one node, and no proxy between",
+        pattern=URL,
+    )
+    retention_days: float = number(
+        3650.0,
+        "older ticks are refused; at most -retentionPeriod of VictoriaMetrics",
+        "days",
+        1.0,
+        36500.0,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class IngestSettings(Section):
+    """`greenhouse fleet ingest`: from the broker to the numbers and the database."""
+
+    rigs_max: int = whole(100_000, "rigs that are taken in; messages of more are refused", 1, 10_000_000)
+    batch_s: float = number(5.0, "messages of so long are stored together", "s", 0.1, 60.0)
+    window: int = whole(
+        4096, "messages that wait for their acknowledgement; the broker holds the others", 20, 65535
+    )
+    gap_wait_s: float = number(10.0, "a gap this old is asked for", "s", 1.0, 3600.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +57,7 @@ class FleetSettings(Section):
 
     database: DatabaseSettings = field(default_factory=DatabaseSettings)
     numbers: NumbersSettings = field(default_factory=NumbersSettings)
+    ingest: IngestSettings = field(default_factory=IngestSettings)
     mqtt: MqttSettings = field(default_factory=lambda: MqttSettings(rig="fleet"))
 
 

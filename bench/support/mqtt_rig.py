@@ -66,7 +66,8 @@ class ControlLoop:
         if request["do"] != "status":
             self.requests.append(request)
         if request["do"] == "resend":
-            return {"ok": True, "queued": self.resend(request["first_seq"], request["last_seq"])}
+            span = {key: request[key] for key in ("first_seq", "last_seq")}
+            return {"ok": True, "queued": self.resend(*span.values()), **span}
         if request["do"] not in ("status", "clear_trip"):
             try:
                 self.operation = operate(self.operation, request, desk())

@@ -84,10 +84,14 @@ class Routes:
 
 
 def resend(settings: Settings, span: Resend) -> Reply:
-    """Queue recorded ticks again, from `first_seq` to `last_seq`."""
+    """Queue recorded ticks again, from `first_seq` to `last_seq`; the answer names them too.
+
+    A subscriber that hears all answers of a rig tells by them which request was answered.
+    """
     outbox = outbox_of(settings)
     try:
-        return {"ok": True, "queued": outbox.resend(span.first_seq, span.last_seq)}
+        queued = outbox.resend(span.first_seq, span.last_seq)
+        return {"ok": True, "queued": queued, "first_seq": span.first_seq, "last_seq": span.last_seq}
     except sqlite3.Error as error:
         return {"ok": False, "error": str(error)}
     finally:

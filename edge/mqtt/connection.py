@@ -44,9 +44,7 @@ def make_client(settings: MqttSettings, lane: str = "") -> Client:
     client.reconnect_delay_set(RECONNECT_MIN_S, LANE_MAX_S if lane else RECONNECT_MAX_S)
     client.connect_timeout = CONNECT_TIMEOUT_S
     client.max_inflight_messages_set(0)  # the drain keeps its own window
-    _set_credentials(client, settings)
-    if settings.tls:
-        client.tls_set_context(tls_context(settings))
+    identify(client, settings)
     try:
         settings.host.encode("idna")
         keepalive_s = min(settings.keepalive_s, LANE_MAX_S) if lane else settings.keepalive_s
@@ -56,13 +54,15 @@ def make_client(settings: MqttSettings, lane: str = "") -> Client:
     return client
 
 
-def _set_credentials(client: Client, settings: MqttSettings) -> None:
-    if not settings.username:
-        return
-    password = None
-    if settings.password_file:
-        password = read_secret(settings.password_file, "mqtt.password_file").value
-    client.username_pw_set(settings.username, password)
+def identify(client: Client, settings: MqttSettings) -> None:
+    """Set user, password and TLS. Errors: ConfigError"""
+    if settings.username:
+        password = None
+        if settings.password_file:
+            password = read_secret(settings.password_file, "mqtt.password_file").value
+        client.username_pw_set(settings.username, password)
+    if settings.tls:
+        client.tls_set_context(tls_context(settings))
 
 
 def tls_context(settings: MqttSettings) -> ssl.SSLContext:

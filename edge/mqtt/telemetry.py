@@ -44,7 +44,10 @@ STOP = "emergency_stop"
 LANES = ((STOP, "release_emergency_stop"), ("maintenance",))  # a release in the order in which it was given
 EVENTS_WAITING_MAX = 200  # live events while the broker is away; all of them are in the outbox too
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step counts as late
-SHORT = ("ok", "error", "warning", "queued", "proposal", "lines", "commissioning")  # keys of short answers
+SHORT = (  # keys of short answers
+    *("ok", "error", "warning", "queued", "first_seq", "last_seq"),
+    *("proposal", "lines", "commissioning"),
+)
 WINDOW_RESERVE = 4  # room in the broker's receive window for messages that are not the outbox's
 
 

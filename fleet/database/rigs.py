@@ -35,3 +35,13 @@ class StoredSpan(FleetTable):
     history_id: Mapped[str] = mapped_column(String(NAME_MAX), primary_key=True)
     first_seq: Mapped[int] = mapped_column(BigInteger, primary_key=True)
     last_seq: Mapped[int] = mapped_column(BigInteger)
+
+
+class AbsentSpan(FleetTable):
+    """Ticks of one history that will not come: the rig has said so, or they were refused."""
+
+    __tablename__ = "absent_spans"
+    rig: Mapped[str] = mapped_column(ForeignKey("rigs.name"), primary_key=True)
+    history_id: Mapped[str] = mapped_column(String(NAME_MAX), primary_key=True)
+    first_seq: Mapped[int] = mapped_column(BigInteger, primary_key=True)
+    last_seq: Mapped[int] = mapped_column(BigInteger)

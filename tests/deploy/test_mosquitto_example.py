@@ -72,12 +72,10 @@ def test_the_rig_home_assistant_and_an_archive_can_do_their_work_and_no_more(bro
             home.send(f"{ROOT}/set/mode", "heat")
             wait_for(lambda: home.objects(f"{ROOT}/reply"))
             assert loop.requests == [{"do": "set_mode", "mode": "heat"}]
-            archive.send(f"{ROOT}/set/resend", json.dumps({"first_seq": 1, "last_seq": 2}))
-            wait_for(
-                lambda: (
-                    archive.objects(f"{ROOT}/reply")[-1:] == [{"command": "resend", "ok": True, "queued": 0}]
-                )
-            )
+            span = {"first_seq": 1, "last_seq": 2}
+            archive.send(f"{ROOT}/set/resend", json.dumps(span))
+            answer = {"command": "resend", "ok": True, "queued": 0, **span}
+            wait_for(lambda: archive.objects(f"{ROOT}/reply")[-1:] == [answer])
             assert not own.faults()
         finally:
             own.close()

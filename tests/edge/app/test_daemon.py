@@ -21,7 +21,8 @@ def settings(tmp_path: Path) -> Settings:
 
 @pytest.mark.parametrize(("first", "last", "queued"), [(1, 1, 1), (2, 3, 2), (1, 2**63 - 1, 3), (9, 9, 0)])
 def test_a_span_of_numbers_is_queued_again(settings: Settings, first: int, last: int, queued: int) -> None:
-    assert resend(settings, Resend(first, last)) == {"ok": True, "queued": queued}
+    answer = {"ok": True, "queued": queued, "first_seq": first, "last_seq": last}
+    assert resend(settings, Resend(first, last)) == answer
 
 
 def test_a_resend_without_a_history_is_refused_and_makes_none(tmp_path: Path) -> None:

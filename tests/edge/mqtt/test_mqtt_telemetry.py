@@ -292,7 +292,8 @@ def test_a_resend_command_fills_the_outbox_again(broker):
     with Listener(broker.port) as listener, running(broker.port, loop, outbox) as own:
         wait_for(lambda: not outbox.rows)
         listener.send(f"{ROOT}/set/resend", json.dumps({"first_seq": 2, "last_seq": 3}))
-        wait_for(lambda: listener.objects(REPLY) == [{"command": "resend", "ok": True, "queued": 2}])
+        span = {"first_seq": 2, "last_seq": 3}
+        wait_for(lambda: listener.objects(REPLY) == [{"command": "resend", "ok": True, "queued": 2, **span}])
         wait_for(lambda: [row["seq"] for row in listener.objects(HISTORY)] == [1, 2, 3, 2, 3])
         assert not own.faults()
 

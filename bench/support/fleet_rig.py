@@ -1,0 +1,80 @@
+"""A rig of a fleet without a board: the daemon's own history, outbox and telemetry, and ticks made up."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+from bench.support.mqtt_rig import ControlLoop, record, settings
+from edge.config.settings import HistorySettings
+from edge.core.clock import RealClock
+from edge.core.messages import Event
+from edge.mqtt.telemetry import Telemetry
+from edge.mqtt.topics import Topics
+from edge.storage import Outbox, Storage
+
+
+class RigWithoutBoard:
+    """`with RigWithoutBoard(folder, "rig-1", port) as rig: rig.tick()`; a tick is stored when it returns."""
+
+    def __init__(self, folder: Path, name: str, port: int) -> None:
+        self.name = name
+        self.sent: dict[int, float] = {}  # sequence number -> utc
+        self._path = str(folder / f"{name}.db")
+        self._settings = settings(port, rig=name)
+        self._storage = Storage(HistorySettings(path=self._path), RealClock())
+        self._next_seq = self._storage.open()
+        self._loop = ControlLoop()
+        self._loop.resend = self._resend
+        self.telemetry: Telemetry | None = None
+        self._root = Topics.of(self._settings.mqtt).root
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.disconnect()
+        self._storage.close()
+
+    def connect(self) -> None:
+        """Begin to talk to the broker."""
+        self.telemetry = Telemetry(
+            self._settings, self._loop.ask, self._loop.post, lambda: Outbox(self._path, self._root)
+        )
+
+    def disconnect(self) -> None:
+        """End the connection; ticks go on and wait."""
+        if self.telemetry is not None:
+            self.telemetry.close()
+            self.telemetry = None
+
+    def tick(self, utc: float | None = None, events: tuple[Event, ...] = (), **changes: Any) -> int:
+        """Make one tick, now unless `utc` is given; return its number."""
+        seq, at = self._next_seq, round(time.time() if utc is None else utc, 3)
+        made = record(seq, 20.0 + seq % 100 / 10, events, utc=at, **changes)
+        self._next_seq += 1
+        self._storage.write(made)
+        assert self._storage.wait_written(seq, 20.0)
+        self.sent[seq] = at
+        self._loop.last_record = made
+        if self.telemetry is not None:
+            self.telemetry.write(made)
+            self.telemetry.show(self._loop.values())
+        return seq
+
+    def _resend(self, first: int, last: int) -> int:
+        outbox = Outbox(self._path, self._root)
+        try:
+            return outbox.resend(first, last)
+        finally:
+            outbox.close()
+
+
+def every(seconds: float, do: Callable[[], object], until: Callable[[], bool]) -> None:
+    """Call `do` at a steady pace until a condition holds."""
+    next_s = time.monotonic()
+    while not until():
+        do()
+        next_s += seconds
+        time.sleep(max(0.0, next_s - time.monotonic()))

@@ -1,0 +1,24 @@
+"""`greenhouse fleet ingest`: the service between the broker and the stores."""
+
+import argparse
+import signal
+import threading
+from pathlib import Path
+
+from fleet.database.base import open_database
+from fleet.ingest.loop import Ingest
+from fleet.settings import FleetSettings
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the journal, by which it is measured."""
+    parser.add_argument("--journal", type=Path, help="append a JSON line of times for each batch")
+
+
+def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
+    """Run until SIGTERM or SIGINT. Errors: ConfigError, DataError"""
+    ended = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ended.set())
+    Ingest(settings, open_database(settings.database), arguments.journal).run(ended)
+    return 0

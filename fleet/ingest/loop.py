@@ -1,0 +1,234 @@
+"""The loop of ingest: hear, write the numbers, write the database, acknowledge; and ask for what is missing.
+
+In this order, so a kill at any moment leaves at most messages that the broker sends again, whose samples are
+in store already and are the same.
+"""
+
+import json
+import re
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from sqlalchemy import Engine
+from sqlalchemy.exc import SQLAlchemyError
+
+from edge.app.systemd import Notifier
+from edge.config.settings import NAME
+from edge.core.event_log import Allowance
+from edge.core.plain_text import plain
+from fleet.ingest.batch import Batch, Times
+from fleet.ingest.books import Books, Entry
+from fleet.ingest.inbox import FleetInbox, Message
+from fleet.ingest.ledger import RigLedger, RigPlan
+from fleet.ingest.refusal import Refused
+from fleet.ingest.tick import Tick
+from fleet.numbers.series import lines
+from fleet.numbers.victoria import Numbers, NumbersError
+from fleet.settings import FleetSettings
+
+DAY_S = 86400.0
+RETRY_FIRST_S, RETRY_MAX_S = 0.5, 4.0
+LOOK_S = 1.0  # between two looks at the gaps of all rigs, and no more than this share of the time:
+LOOK_SHARE = 0.05
+ASKS_MAX = 50  # rigs that send again at one time
+CHECK_S = 60.0  # how often VictoriaMetrics is asked whether it has dropped samples
+SAID_BURST, SAID_PER_S = 10, 0.1  # lines about refusals; the database counts all of them
+
+
+class Ingest:
+    """The service: all that rigs send, once in store. journal : a file of measurements, or None"""
+
+    def __init__(self, settings: FleetSettings, engine: Engine, journal: Path | None = None) -> None:
+        self._settings, self._journal = settings, journal
+        self._numbers = Numbers(settings.numbers)
+        self._books = Books(engine)
+        self._inbox = FleetInbox(settings.mqtt, settings.ingest.window)
+        self._ledgers = {name: RigLedger(settings.ingest.gap_wait_s) for name in self._books.names()}
+        self._allowance = Allowance(SAID_BURST, SAID_PER_S, time.monotonic)
+        self._look_at_s = 0.0
+        self._check_at_s = 0.0
+        self._dropped = 0.0
+        self._is_behind = False
+        self._notifier = Notifier.from_environment()
+
+    def run(self, ended: threading.Event) -> None:
+        """Run until `ended`. Errors: ConfigError; whatever does not answer is tried again"""
+        own = self._settings.ingest
+        self._inbox.start()
+        self._notifier.ready("hears rigs", own.batch_s)
+        try:
+            while not ended.is_set():
+                messages = self._inbox.take(own.batch_s)
+                self._is_behind = len(messages) >= own.window // 2
+                if messages and self._store(messages, ended):
+                    self._inbox.acknowledge(messages)
+                self._ask()
+                self._check()
+                self._notifier.alive(f"{len(self._ledgers)} rigs")
+        finally:
+            self._inbox.close()
+            self._notifier.close()
+
+    # storing
+
+    def _store(self, messages: Sequence[Message], ended: threading.Event) -> bool:
+        """Store what messages say; try until it is done. Returns False when the end came before."""
+        began_s, pause_s = time.monotonic(), RETRY_FIRST_S
+        batch = self._sort(messages)
+        while not ended.is_set():
+            try:
+                numbers_s, database_s, stored = self._write(batch)
+            except (NumbersError, SQLAlchemyError) as error:
+                # What the database has is not known after a commit without an answer: it is read again.
+                for rig in batch.rigs:
+                    self._ledgers[rig].is_loaded = False
+                _say(f"{plain(str(error))}; again in {pause_s:g} s")
+                self._notifier.alive(plain(str(error)))
+                ended.wait(pause_s)
+                pause_s = min(2 * pause_s, RETRY_MAX_S)
+            else:
+                self._note(messages, stored, began_s, numbers_s, database_s)
+                return True
+        return False
+
+    def _sort(self, messages: Sequence[Message]) -> Batch:
+        now = time.time()
+        oldest = now - self._settings.numbers.retention_days * DAY_S
+        batch = Batch(Times(now, time.monotonic(), oldest))
+        for message in messages:
+            ledger = self._ledger(message.rig)
+            if ledger is None:
+                problem = f"{plain(message.rig, 80)!r} is not a rig's name, or there are too many"
+                batch.refused.append(("", Refused("rig", problem)))
+            else:
+                batch.hear(message, ledger)
+        return batch
+
+    def _ledger(self, rig: str) -> RigLedger | None:
+        own = self._settings.ingest
+        if rig not in self._ledgers and len(self._ledgers) < own.rigs_max and re.fullmatch(NAME, rig):
+            self._ledgers[rig] = RigLedger(own.gap_wait_s)
+        return self._ledgers.get(rig)
+
+    def _write(self, batch: Batch) -> tuple[float, float, int]:
+        """Write a batch; return the seconds that both stores took, and how many ticks were new."""
+        start_s = time.monotonic()
+        self._load(batch)
+        plans, refused = self._plan(batch)
+        fresh = [tick for rig_plan in plans.values() for tick in rig_plan[1]]
+        loaded_s = time.monotonic()
+        if fresh:
+            self._numbers.store("".join([lines(tick.rig, tick.utc, tick.samples) for tick in fresh]))
+        stored_s = time.monotonic()
+        self._books.write(self._entry(batch, plans, fresh, refused))
+        for plan, _ in plans.values():
+            plan.settle()
+        self._tell(refused)
+        written_s = time.monotonic()
+        return stored_s - loaded_s, written_s - stored_s + loaded_s - start_s, len(fresh)
+
+    def _load(self, batch: Batch) -> None:
+        wanted = [rig for rig in batch.rigs if not self._ledgers[rig].is_loaded]
+        if wanted:
+            for rig, histories in self._books.histories(wanted).items():
+                self._ledgers[rig].load(histories)
+
+    def _plan(self, batch: Batch) -> tuple[dict[str, tuple[RigPlan, list[Tick]]], list[tuple[str, Refused]]]:
+        """Return by rig what its histories will be with its new ticks, and all that is refused."""
+        plans: dict[str, tuple[RigPlan, list[Tick]]] = {}
+        refused = list(batch.refused)
+
+        def plan_of(rig: str) -> tuple[RigPlan, list[Tick]]:
+            return plans.setdefault(rig, (RigPlan(self._ledgers[rig]), []))
+
+        for tick in batch.ticks:
+            plan, fresh = plan_of(tick.rig)
+            try:
+                if plan.take(tick):
+                    fresh.append(tick)
+            except Refused as error:
+                refused.append((tick.rig, error))
+        for rig, problem in batch.refused:
+            if problem.seq:
+                plan_of(rig)[0].give_up(problem.history_id, (problem.seq, problem.seq))
+        for rig, history_id, span in batch.absent:
+            plan_of(rig)[0].give_up(history_id, span)
+        return plans, refused
+
+    def _entry(
+        self,
+        batch: Batch,
+        plans: dict[str, tuple[RigPlan, list[Tick]]],
+        fresh: list[Tick],
+        refused: list[tuple[str, Refused]],
+    ) -> Entry:
+        spans = {rig: (self._ledgers[rig].histories, plan.histories) for rig, (plan, _) in plans.items()}
+        entry = Entry(batch.times.utc, batch.rigs, spans, fresh)
+        for rig, error in refused:
+            entry.refused[rig, error.reason] += 1
+            entry.texts[rig, error.reason] = plain(str(error), 500)
+        return entry
+
+    # telling
+
+    def _tell(self, refused: list[tuple[str, Refused]]) -> None:
+        for rig, error in refused:
+            if self._allowance.take():
+                _say(f"{rig or 'no rig'}: refused, {error.reason}: {error}")
+
+    def _note(
+        self, messages: Sequence[Message], stored: int, began_s: float, numbers_s: float, database_s: float
+    ) -> None:
+        if self._journal is None:
+            return
+        now = time.monotonic()
+        lags = [round(now - message.heard_s, 3) for message in messages if message.what == "history/tick"]
+        line = {
+            "utc": round(time.time(), 3),
+            "messages": len(messages),
+            "stored": stored,
+            "store_s": round(now - began_s, 4),
+            "numbers_s": round(numbers_s, 4),
+            "database_s": round(database_s, 4),
+            "lags_s": lags,
+        }
+        with self._journal.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+    def _check(self) -> None:
+        """Tell when VictoriaMetrics has dropped samples: it says so in its counters alone."""
+        if time.monotonic() < self._check_at_s:
+            return
+        self._check_at_s = time.monotonic() + CHECK_S
+        try:
+            dropped = self._numbers.dropped_rows()
+        except NumbersError:
+            return  # the next batch meets it too, and tells it
+        total = sum(dropped.values())
+        if total > self._dropped:
+            _say(f"VictoriaMetrics has dropped {total:.0f} samples since its start: {', '.join(dropped)}")
+        self._dropped = total
+
+    # asking
+
+    def _ask(self) -> None:
+        """Ask rigs for what is missing, but not while messages wait here: it may be among them."""
+        now = time.monotonic()
+        if now < self._look_at_s or self._is_behind or not self._inbox.is_connected:
+            return
+        free = ASKS_MAX - sum(ledger.asks.ask is not None for ledger in self._ledgers.values())
+        for rig, ledger in self._ledgers.items():
+            if ledger.is_online and (free > 0 or ledger.asks.ask is not None):
+                span = ledger.asks.look(ledger.missing(), now)
+                if span is not None:
+                    free -= 1
+                    self._inbox.ask(rig, "resend", json.dumps({"first_seq": span[0], "last_seq": span[1]}))
+        took_s = time.monotonic() - now
+        self._look_at_s = now + max(LOOK_S, took_s / LOOK_SHARE)
+
+
+def _say(text: str) -> None:
+    print(f"ingest: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,84 @@
+"""Ticks of real payloads through a real broker into real stores."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from fleet_store import BROKER, numbers_of, wait_until_all_is_stored
+from sqlalchemy import Engine, select
+from sqlalchemy.orm import Session
+
+from bench.support.broker import Broker, needs_mosquitto, wait_for
+from bench.support.fleet_rig import RigWithoutBoard
+from bench.support.ingest_process import IngestProcess
+from bench.support.victoria import Victoria, needs_victoria
+from edge.core.messages import Event, Severity
+from fleet.database.base import open_database
+from fleet.database.events import RigEvent
+from fleet.database.rigs import FleetRig
+from fleet.numbers.victoria import Numbers
+from fleet.settings import DatabaseSettings, NumbersSettings
+
+pytestmark = [needs_mosquitto, needs_victoria, pytest.mark.slow]
+
+
+@dataclass
+class Fleet:
+    folder: Path
+    broker: Broker
+    victoria: Victoria
+    ingest: IngestProcess
+    numbers: Numbers
+    engine: Engine
+
+    def rig(self, name: str) -> FleetRig | None:
+        with Session(self.engine) as session:
+            return session.get(FleetRig, name)
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Iterator[Fleet]:
+    url = f"sqlite:///{tmp_path}/fleet.db"
+    engine = open_database(DatabaseSettings(url=url))
+    with Broker(tmp_path, BROKER) as broker, Victoria(tmp_path) as victoria:
+        ingest = IngestProcess(tmp_path, {"port": broker.port}, victoria.url, url)
+        with ingest:
+            numbers = Numbers(NumbersSettings(url=victoria.url))
+            yield Fleet(tmp_path, broker, victoria, ingest, numbers, engine)
+    engine.dispose()
+
+
+def test_ticks_states_and_events_are_stored(fleet: Fleet) -> None:
+    event = Event("board.link_lost", Severity.ALARM, "silent for 3 s", 0.0, 1.7e9)
+    with RigWithoutBoard(fleet.folder, "rig-1", fleet.broker.port) as first:
+        with RigWithoutBoard(fleet.folder, "rig-2", fleet.broker.port) as second:
+            first.tick(events=(event,))
+            for _ in range(4):
+                first.tick()
+                second.tick()
+            wait_until_all_is_stored((first, second), fleet.numbers, fleet.engine, say=fleet.ingest.log)
+            assert [value for _, value in numbers_of(fleet.numbers, "sent_heater_duty", "rig-1")] == [
+                0.35
+            ] * 5
+            wait_for(lambda: (row := fleet.rig("rig-1")) and row.is_online and row.state["seq"] == 5)
+        wait_for(lambda: (row := fleet.rig("rig-2")) and not row.is_online)
+    with Session(fleet.engine) as session:
+        rows = session.scalars(select(RigEvent)).all()
+    assert [(row.rig, row.seq, row.number, row.key, row.severity) for row in rows] == [
+        ("rig-1", 1, 0, "board.link_lost", "alarm")
+    ]
+    assert fleet.ingest.stop() == 0
+
+
+def test_an_outbox_of_a_day_comes_in_order_and_whole(fleet: Fleet) -> None:
+    with RigWithoutBoard(fleet.folder, "rig-1", fleet.broker.port) as rig:
+        rig.tick()
+        wait_until_all_is_stored([rig], fleet.numbers, fleet.engine)
+        rig.disconnect()
+        last = max(rig.sent.values())
+        for number in range(1, 301):
+            rig.tick(utc=last + 0.1 * number)
+        rig.connect()
+        wait_until_all_is_stored([rig], fleet.numbers, fleet.engine, say=fleet.ingest.log)
+    assert "refused" not in fleet.ingest.log
