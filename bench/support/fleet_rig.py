@@ -63,6 +63,14 @@ class RigWithoutBoard:
             self.telemetry.show(self._loop.values())
         return seq
 
+    def depth(self) -> int:
+        """Return how many messages wait for the broker's word."""
+        outbox = Outbox(self._path, self._root)
+        try:
+            return outbox.depth()
+        finally:
+            outbox.close()
+
     def _resend(self, first: int, last: int) -> int:
         outbox = Outbox(self._path, self._root)
         try:

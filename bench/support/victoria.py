@@ -14,7 +14,10 @@ from edge.board.virtual_rig import die_with_parent
 
 VICTORIA = shutil.which("victoria-metrics")
 needs_victoria = pytest.mark.skipif(VICTORIA is None, reason="victoria-metrics is not installed")
-OPTIONS = ("-dedup.minScrapeInterval=1ms", "-retentionPeriod=10y", "-snapshotsMaxAge=1d")
+OPTIONS = (
+    *("-dedup.minScrapeInterval=1ms", "-retentionPeriod=10y", "-snapshotsMaxAge=1d"),
+    "-search.latencyOffset=1s",  # by default a query does not see the newest 30 s
+)
 
 
 class Victoria:

@@ -1,7 +1,8 @@
 """The broker's end: messages of all rigs, each acknowledged only when it is said to be stored.
 
 The session is persistent, so the broker keeps what is not acknowledged, over an end of this process too. It
-hands over `window` messages and no more until some are acknowledged: that bounds the memory taken here.
+hands over `window` messages and no more until some are acknowledged. A broker that does not count well
+(mosquitto 2.0.11 lets two follow each acknowledgement) is read no further when twice as many wait.
 """
 
 import sys
@@ -26,6 +27,8 @@ SUBSCRIBED = ("availability", "state", "history/tick", "reply")  # events come w
 RECONNECT_MIN_S, RECONNECT_MAX_S = 1, 4
 SESSION_S = 30 * 86400  # how long the broker keeps what an ingest that is away has not got
 PACKET_MAX = 16 << 20  # [bytes]; the broker drops larger ones itself
+WINDOWS_MAX = 2  # of messages that wait here before no more are read
+WAITING_MAX = 64 << 20  # [bytes] of their payloads, likewise
 QUIET_S = 0.5  # no message for so long: a broker whose own window is small waits for acknowledgements
 NEWEST_MAX = 1_000_000  # topics of which the newest message waits
 POLL_S = 0.05
@@ -58,6 +61,8 @@ class FleetInbox:
         self._settings, self._window = settings, window
         self._changed = threading.Condition()
         self._queue: deque[Message] = deque()  # of QoS 1, in the order of their arrival
+        self._bytes = 0  # of their payloads
+        self._is_closing = False
         self._newest: dict[tuple[str, str], Message] = {}  # of QoS 0: states, of which the last one counts
         self._connection = 0
         self._heard_s = 0.0  # when the last one of QoS 1 came
@@ -82,6 +87,9 @@ class FleetInbox:
 
     def close(self) -> None:
         """Disconnect; the broker keeps the session."""
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify_all()
         end(self._client)
 
     def take(self, longest_s: float) -> list[Message]:
@@ -92,7 +100,8 @@ class FleetInbox:
                 self._changed.wait(min(left, POLL_S))
             taken = [*self._newest.values(), *self._queue]
             self._newest.clear()
-            self._queue.clear()
+            self._clear()
+            self._changed.notify_all()
         return taken
 
     def acknowledge(self, messages: Iterable[Message]) -> None:
@@ -106,6 +115,14 @@ class FleetInbox:
         """Send a command to a rig; without a connection it is dropped, for it would come too late."""
         if self.is_connected:
             self._client.publish(f"{self._settings.topic_prefix}/{rig}/set/{what}", payload, qos=1)
+
+    def _clear(self) -> None:
+        self._queue.clear()
+        self._bytes = 0
+
+    def _has_room(self) -> bool:
+        is_full = len(self._queue) >= WINDOWS_MAX * self._window or self._bytes >= WAITING_MAX
+        return self._is_closing or not is_full
 
     def _is_ready(self) -> bool:
         if not self._queue:
@@ -137,7 +154,7 @@ class FleetInbox:
         with self._changed:
             self._connection += 1
             if len(self._queue) > self._window:  # a connection that breaks again and again fills no memory
-                self._queue.clear()
+                self._clear()
 
     def _on_connect(
         self, client: Client, _: object, flags: ConnectFlags, code: ReasonCode, more: Properties | None
@@ -169,11 +186,14 @@ class FleetInbox:
         payload = b"" if size > PAYLOAD_MAX else bytes(message.payload)
         now = time.monotonic()
         with self._changed:
+            # Meanwhile TCP holds the broker back. One that ends a silent connection sends all of it again.
+            self._changed.wait_for(self._has_room)
             heard = Message(rig, what, payload, size, message.mid, message.qos, self._connection, now)
             if message.qos:
                 self._queue.append(heard)
+                self._bytes += len(payload)
                 self._heard_s = now
-                self._changed.notify()
+                self._changed.notify_all()
             elif (rig, what) in self._newest or len(self._newest) < NEWEST_MAX:
                 self._newest[rig, what] = heard
 

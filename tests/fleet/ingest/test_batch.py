@@ -1,0 +1,113 @@
+"""What messages mean: states, availability, answers, and what is not believed."""
+
+import json
+from typing import Any
+
+import pytest
+from history_records import START_UTC, tick
+
+from edge.formats.tick_json import tick_json
+from fleet.ingest.batch import Batch, Times
+from fleet.ingest.inbox import Message
+from fleet.ingest.ledger import HistoryLedger, RigLedger
+from fleet.ingest.spans import Spans
+from fleet.ingest.tick import PAYLOAD_MAX
+
+TIMES = Times(START_UTC + 3600.0, 100.0, START_UTC - 86400.0)
+
+
+def hear(what: str, payload: Any, ledger: RigLedger | None = None, size: int = 0) -> Batch:
+    raw = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+    batch = Batch(TIMES)
+    batch.hear(Message("rig-1", what, raw, size or len(raw), 1, 1, 1, 99.0), ledger or RigLedger(0.0))
+    return batch
+
+
+def refusals(batch: Batch) -> list[tuple[str, str]]:
+    return [(error.reason, str(error)) for _, error in batch.refused]
+
+
+def test_a_state_is_kept_and_tells_the_newest_tick() -> None:
+    ledger = RigLedger(0.0)
+    batch = hear("state", {"seq": 7, "temp_air_c": 21.5, "mode": "auto", "co2_ppm": None}, ledger)
+    assert batch.rigs["rig-1"]["state"] == {"seq": 7, "temp_air_c": 21.5, "mode": "auto", "co2_ppm": None}
+    assert ledger.told == 7
+
+
+def test_availability_is_one_of_two_words() -> None:
+    ledger = RigLedger(0.0)
+    assert hear("availability", b"online", ledger).rigs["rig-1"] == {"is_online": True}
+    assert hear("availability", b"offline", ledger).rigs["rig-1"] == {"is_online": False}
+    assert hear("availability", b"maybe", ledger).refused[0][1].reason == "value"
+    assert not ledger.is_online
+
+
+@pytest.mark.parametrize(
+    ("state", "reason"),
+    [
+        ({"seq": -1}, "seq"),
+        ({"seq": "7"}, "seq"),
+        ({}, "seq"),
+        ({"seq": 7, "temp_air_c": "warm"}, "value"),
+        ({"seq": 7, "temp_air_c": 1e30}, "value"),
+        ({"seq": 7, "inner": {"a": 1}}, "value"),
+        ({"seq": 7, **{f"k{number}": number for number in range(200)}}, "value"),
+        (b"no JSON", "json"),
+    ],
+)
+def test_a_state_that_is_none_is_refused(state: Any, reason: str) -> None:
+    batch = hear("state", state)
+    assert [found for found, _ in refusals(batch)] == [reason]
+    assert "state" not in batch.rigs["rig-1"]
+
+
+@pytest.mark.parametrize("what", ["state", "history/tick"])
+def test_a_payload_that_was_too_large_is_refused_by_its_size(what: str) -> None:
+    batch = hear(what, b"", size=10 << 20)
+    assert refusals(batch) == [("size", f"{what}: 10485760 bytes; {PAYLOAD_MAX} at most")]
+
+
+def test_a_tick_with_an_unknown_quantity_is_stored_and_told() -> None:
+    body = {"history_id": "h1", "is_resend": 0, **tick_json(tick(5)), "new_quantity": 1.0}
+    batch = hear("history/tick", body)
+    assert [each.seq for each in batch.ticks] == [5]
+    assert refusals(batch) == [("quantity", "tick 5: unknown: new_quantity")]
+
+
+def asked() -> RigLedger:
+    """A rig that was asked for ticks 2 to 4."""
+    ledger = RigLedger(0.0)
+    ledger.load({"h1": HistoryLedger(Spans([(1, 1), (5, 6)]))})
+    assert ledger.asks.look(ledger.missing(), 100.0) == (2, 4)
+    return ledger
+
+
+def answer(**changes: Any) -> dict[str, Any]:
+    return {"command": "resend", "ok": True, "queued": 0, "first_seq": 2, "last_seq": 4, **changes}
+
+
+def test_ticks_that_a_rig_has_not_are_noted() -> None:
+    assert hear("reply", answer(), asked()).absent == [("rig-1", "h1", (2, 4))]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"queued": 3},
+        {"ok": False},
+        {"first_seq": 1},  # somebody else's request
+        {"command": "mode"},
+        {"queued": None},
+        {"queued": "0"},
+    ],
+)
+def test_no_other_answer_says_that_ticks_are_absent(changes: dict[str, Any]) -> None:
+    batch = hear("reply", answer(**changes), asked())
+    assert batch.absent == []
+    assert batch.refused == []
+
+
+def test_our_own_mistake_is_counted_and_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.ingest.batch.parse_state", lambda payload: 1 / 0)
+    batch = hear("state", {"seq": 1})
+    assert refusals(batch) == [("fault", "state: ZeroDivisionError('division by zero')")]

@@ -1,0 +1,104 @@
+"""What is taken into a history of a rig, and what is asked for."""
+
+import pytest
+
+from fleet.ingest.ledger import HISTORIES_MAX, JUMP_MAX, SPANS_MAX, HistoryLedger, RigLedger, RigPlan
+from fleet.ingest.refusal import Refused
+from fleet.ingest.spans import Spans
+from fleet.ingest.tick import Tick
+
+START_UTC = 1.7e9
+
+
+def tick(seq: int, history: str = "h1", utc: float | None = None, is_resend: bool = False) -> Tick:
+    at = START_UTC + 60.0 * seq if utc is None else utc
+    return Tick("rig-1", history, seq, at, is_resend, (), (), "")
+
+
+def rig(*ticks: Tick, told: int = 0) -> RigLedger:
+    """A rig whose ticks are stored."""
+    own = RigLedger(10.0)
+    own.load({})
+    plan = RigPlan(own)
+    for each in ticks:
+        plan.take(each)
+    plan.settle()
+    own.told = told
+    return own
+
+
+def test_a_tick_is_new_once() -> None:
+    plan = RigPlan(rig(tick(1)))
+    assert [plan.take(tick(seq)) for seq in (1, 2, 2, 4, 3)] == [False, True, False, True, True]
+    assert list(plan.histories["h1"].stored) == [(1, 4)]
+
+
+def test_nothing_changes_before_a_batch_is_stored() -> None:
+    own = rig(tick(1))
+    plan = RigPlan(own)
+    plan.take(tick(2))
+    assert list(own.histories["h1"].stored) == [(1, 1)]
+    plan.settle()
+    assert list(own.histories["h1"].stored) == [(1, 2)]
+
+
+def test_gaps_are_those_before_within_and_after_what_is_stored() -> None:
+    assert rig(tick(3), tick(4), tick(7), told=9).missing() == [(1, 2), (5, 6), (8, 9)]
+
+
+def test_a_rig_of_which_nothing_is_stored_is_asked_for_all() -> None:
+    assert rig(told=9).missing() == [(1, 9)]
+
+
+def test_only_the_history_that_a_rig_writes_now_is_asked_for() -> None:
+    own = rig(tick(2, "h1"), tick(5, "h1"), tick(1, "h2"), tick(3, "h2"), tick(4, "h1", is_resend=True))
+    assert own.missing() == [(2, 2)]
+
+
+def test_what_a_rig_has_not_is_asked_for_no_more_until_it_comes() -> None:
+    own = rig(tick(1), tick(5))
+    plan = RigPlan(own)
+    plan.give_up("h1", (1, 5))
+    plan.settle()
+    assert own.missing() == []
+    assert list(own.histories["h1"].absent) == [(2, 4)]
+    plan = RigPlan(own)
+    assert plan.take(tick(3))
+    assert list(plan.histories["h1"].absent) == [(2, 2), (4, 4)]
+
+
+def test_a_number_far_ahead_is_refused_and_asked_for_neither() -> None:
+    plan = RigPlan(rig(tick(5)))
+    assert plan.take(tick(5 + JUMP_MAX, utc=START_UTC))
+    with pytest.raises(Refused, match="the newest before it was 1000005"):
+        plan.take(tick(6 + 2 * JUMP_MAX, utc=START_UTC))
+    assert rig(*(tick(seq) for seq in range(1, 6)), told=6 + JUMP_MAX).missing() == []
+
+
+def test_an_old_number_with_a_new_time_is_refused() -> None:
+    plan = RigPlan(rig(tick(1), tick(100)))
+    assert plan.take(tick(50))
+    with pytest.raises(Refused, match="later than tick 100"):
+        plan.take(tick(51, utc=START_UTC + 60.0 * 200))
+
+
+def test_numbers_with_gaps_everywhere_are_refused_in_the_end() -> None:
+    own = HistoryLedger(Spans((3 * number, 3 * number) for number in range(1, SPANS_MAX + 1)))
+    with pytest.raises(Refused, match="spans with gaps"):
+        own.take(tick(3 * SPANS_MAX + 10))
+    assert own.take(tick(4))  # one that lengthens a span is no burden
+
+
+def test_a_rig_has_so_many_histories_and_no_more() -> None:
+    plan = RigPlan(rig(*(tick(1, f"h{number}") for number in range(HISTORIES_MAX))))
+    with pytest.raises(Refused, match="has had 64"):
+        plan.take(tick(1, "one-more"))
+    assert plan.take(tick(2, "h0"))
+
+
+def test_what_the_database_has_is_the_ledger() -> None:
+    own = RigLedger(10.0)
+    assert own.missing() == []  # not known yet
+    own.load({"old": HistoryLedger(Spans([(1, 3)])), "new": HistoryLedger(Spans([(2, 9)]))})
+    assert own.current == "new"
+    assert own.missing() == [(1, 1)]
