@@ -15,6 +15,8 @@ VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`,
         "fleet.commands.ingest",
         "store what rigs send, and ask for what is missing",
     ),
+    "serve": ("fleet.commands.serve", "serve the page and its API"),
+    "user": ("fleet.commands.user", "add, list or remove people who may log in"),
     "rigs": ("fleet.commands.rigs", "list the rigs that were ever heard"),
     "work": (
         "fleet.commands.work",

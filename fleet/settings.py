@@ -6,6 +6,7 @@ from pathlib import Path
 from edge.config.loading import all_problems
 from edge.config.settings import URL, MqttSettings
 from edge.formats.cross_check import Section, number, text, whole
+from edge.formats.cross_check import Section, items, text, whole
 from edge.formats.reader import read_yaml
 
 
@@ -52,12 +53,27 @@ class IngestSettings(Section):
 
 
 @dataclass(frozen=True, slots=True)
+class FleetPageSettings(Section):
+    """The fleet's page and API: `greenhouse fleet serve`."""
+
+    host: str = text("127.0.0.1", "address to listen at; caddy asks here")
+    port: int = whole(8432, "TCP port", 1, 65535)
+    names: tuple[str, ...] = items(
+        "names by which browsers reach it; its address and this machine's name do", "fleet.example.org"
+    )
+    alert_token_file: str = text(
+        "", "file of the word by which vmalert shows who it is; empty: no alarm is taken"
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class FleetSettings(Section):
     """All of `fleet.yaml`. mqtt : `rig` is the client id"""
 
     database: DatabaseSettings = field(default_factory=DatabaseSettings)
     numbers: NumbersSettings = field(default_factory=NumbersSettings)
     ingest: IngestSettings = field(default_factory=IngestSettings)
+    page: FleetPageSettings = field(default_factory=FleetPageSettings)
     mqtt: MqttSettings = field(default_factory=lambda: MqttSettings(rig="fleet"))
 
 

@@ -18,7 +18,7 @@ from bench.support.broker import free_port, wait_for
 from bench.support.daemon_process import ROOT, configuration
 from edge.board.virtual_rig import die_with_parent
 from edge.page.access import DAY_S, Access, Role
-from edge.page.page_state import COOKIE
+from edge.page.cookie import COOKIE
 
 END_S = 15.0
 

@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         case "link":
             _print_link(settings, access, arguments, arguments.days, None if arguments.role == "view" else 1)
         case "person":
-            access.set_password(arguments.name, ROLES[arguments.role], _password())
+            access.set_password(arguments.name, ROLES[arguments.role], ask_password())
         case "sessions":
             _print_sessions(access)
         case "revoke":
@@ -114,7 +114,8 @@ def _test_alarm(settings: Settings, access: Access) -> int:
     return 1 if any(reasons.values()) else 0
 
 
-def _password() -> str:
+def ask_password() -> str:
+    """Read a password twice from a terminal, once from a pipe. Errors: RequestError"""
     first = getpass.getpass("password: ")
     if sys.stdin.isatty() and getpass.getpass("again: ") != first:
         raise RequestError("the two differ")

@@ -1,11 +1,5 @@
-"""Who may do what: links, sessions and passwords, in a SQLite file of the page's own.
+"""Who may do what: links, sessions and passwords, in a SQLite file of the page's own."""
 
-A link's or a session's secret is shown once and kept as its SHA-256: it has 256 random bits, so nothing can
-be guessed from that. Passwords are short, so they are kept by scrypt.
-"""
-
-import hashlib
-import hmac
 import os
 import secrets
 import sqlite3
@@ -17,16 +11,14 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Self
 
-from edge.core.errors import DataError, RequestError
+from edge.core.errors import DataError
 from edge.core.plain_text import plain
+from edge.page.secret_hashes import NOBODY, hash_secret, is_password, new_password, person_name
 
 DAY_S = 86_400.0
 LINK_DAYS_MAX = 366.0
 SESSION_S = 30 * DAY_S  # without a visit, after which a session ends
 SEEN_EVERY_S = 600.0  # a visit is written no more often: a card wears
-SCRYPT = {"n": 1 << 14, "r": 8, "p": 1}  # 16 MB and a quarter of a second of a Raspberry Pi
-PASSWORD_MIN = 8  # characters
-NAME_MAX = 40
 BUSY_S = 5.0
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS links (id INTEGER PRIMARY KEY, secret BLOB UNIQUE, role INTEGER, name TEXT,
@@ -84,7 +76,7 @@ class Access:
             db.execute(
                 "INSERT INTO links (secret, role, name, made_utc, expires_utc, uses_left)"
                 " VALUES (?, ?, ?, ?, ?, ?)",
-                (_hash(secret), role, _name(name), now, now + valid_s, uses),
+                (hash_secret(secret), role, person_name(name), now, now + valid_s, uses),
             )
         return secret
 
@@ -98,7 +90,7 @@ class Access:
             found = db.execute(
                 "SELECT id, role, name, expires_utc, uses_left FROM links WHERE secret = ?"
                 " AND expires_utc > ? AND (uses_left IS NULL OR uses_left > 0)",
-                (_hash(secret), now),
+                (hash_secret(secret), now),
             ).fetchone()
             if found is None:
                 return None
@@ -112,20 +104,18 @@ class Access:
         with self._writing() as db:
             found = db.execute("SELECT role, salt, password FROM people WHERE name = ?", (name,)).fetchone()
         # Somebody who is not there takes as long to refuse as a wrong password.
-        role, salt, known = found or (Role.VIEW, b"nobody", b"")
-        if not hmac.compare_digest(_scrypt(password, salt), known):
+        role, salt, known = found or (Role.VIEW, *NOBODY)
+        if not is_password(password, salt, known):
             return None
         with self._writing() as db:
             return self._begin(db, None, Role(role), name, browser, self.utc() + SESSION_S)
 
     def set_password(self, name: str, role: Role, password: str) -> None:
         """Let a person log in; sessions that they had under another password end. Errors: RequestError"""
-        if len(password) < PASSWORD_MIN:
-            raise RequestError(f"a password has {PASSWORD_MIN} characters at least")
-        salt = secrets.token_bytes(16)
+        salt, hashed = new_password(password)
         with self._writing() as db:
-            db.execute("DELETE FROM sessions WHERE name = ? AND link IS NULL", (_name(name),))
-            row = (_name(name), role, salt, _scrypt(password, salt))
+            db.execute("DELETE FROM sessions WHERE name = ? AND link IS NULL", (person_name(name),))
+            row = (person_name(name), role, salt, hashed)
             db.execute("INSERT OR REPLACE INTO people VALUES (?, ?, ?, ?)", row)
 
     def visitor(self, secret: str) -> Visitor | None:
@@ -134,7 +124,7 @@ class Access:
         with self._reading() as db:
             found = db.execute(
                 "SELECT id, name, role, seen_utc, link FROM sessions WHERE secret = ? AND expires_utc > ?",
-                (_hash(secret), now),
+                (hash_secret(secret), now),
             ).fetchone()
         if found is None:
             return None
@@ -204,7 +194,7 @@ class Access:
         self, db: sqlite3.Connection, link: int | None, role: Role, name: str, browser: str, until_utc: float
     ) -> tuple[str, Visitor]:
         secret, now = secrets.token_urlsafe(32), self.utc()
-        row = (_hash(secret), link, role, name, plain(browser, 200), now, now, until_utc)
+        row = (hash_secret(secret), link, role, name, plain(browser, 200), now, now, until_utc)
         cursor = db.execute(
             "INSERT INTO sessions (secret, link, role, name, browser, made_utc, seen_utc, expires_utc)"
             " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
@@ -251,19 +241,3 @@ class Access:
                 yield db
         except (sqlite3.Error, OSError) as error:
             raise DataError(f"{self.path}: {error}") from error
-
-
-def _hash(secret: str) -> bytes:
-    return hashlib.sha256(secret.encode(errors="replace")).digest()
-
-
-def _scrypt(password: str, salt: bytes) -> bytes:
-    return hashlib.scrypt(password.encode(errors="replace"), salt=salt, **SCRYPT, maxmem=64 << 20)
-
-
-def _name(name: str) -> str:
-    """Return a name as it may stand in the history. Errors: RequestError"""
-    clean = plain(name, NAME_MAX).strip()
-    if not clean:
-        raise RequestError("a name is needed: it stands beside every order in the history")
-    return clean

@@ -1,15 +1,15 @@
 """Parts of every route: values of a request, checked; answers as JSON; work that waits for the disk."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from http import HTTPStatus
 from typing import Any
 
 import anyio
 import anyio.to_thread
 from starlette.requests import Request
-from starlette.responses import JSONResponse
+from starlette.responses import JSONResponse, Response
 
-from edge.core.errors import RequestError
+from edge.core.errors import GreenhouseError, RequestError
 from edge.formats.reader import DocumentError, parse_json
 
 Json = dict[str, Any]
@@ -21,6 +21,18 @@ class NotAllowed(Exception):
     def __init__(self, status: HTTPStatus, reason: str) -> None:
         super().__init__(reason)
         self.status = status
+
+
+async def answered(work: Awaitable[Response]) -> Response:
+    """Return a route's answer; a refusal or an error becomes JSON with the reason."""
+    try:
+        return await work
+    except NotAllowed as error:
+        return answer(error.status, ok=False, error=str(error))
+    except RequestError as error:
+        return answer(HTTPStatus.BAD_REQUEST, ok=False, error=str(error))
+    except GreenhouseError as error:
+        return answer(HTTPStatus.SERVICE_UNAVAILABLE, ok=False, error=str(error))
 
 
 async def in_thread(

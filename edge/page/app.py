@@ -15,12 +15,11 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from edge.config.settings import Settings
-from edge.core.errors import GreenhouseError, RequestError
 from edge.page import export, model_routes, rig_routes, session_routes
 from edge.page.access import Access, Role, Visitor
 from edge.page.alarms import alarm_routes
 from edge.page.alarms.alarm_desk import AlarmDesk
-from edge.page.answers import NotAllowed, answer
+from edge.page.answers import NotAllowed, answered
 from edge.page.courses import Courses
 from edge.page.guard import Guard, own_names
 from edge.page.page_state import Page
@@ -92,18 +91,14 @@ def make_app(settings: Settings, file: str = "") -> Guard:
 def _endpoint(page: Page, handler: Handler, needed: Role | None) -> Callable[[Request], Awaitable[Response]]:
     """Wrap a handler: the visitor's role first, and each error as JSON. needed : None for anybody"""
 
+    async def serve(request: Request) -> Response:
+        visitor = Visitor(0, "nobody", Role.VIEW) if needed is None else await page.visitor(request)
+        if needed is not None and visitor.role < needed:
+            reason = f"this needs the role {needed.word}, yours is {visitor.role.word}"
+            raise NotAllowed(HTTPStatus.FORBIDDEN, reason)
+        return await handler(page, request, visitor)
+
     async def endpoint(request: Request) -> Response:
-        try:
-            visitor = Visitor(0, "nobody", Role.VIEW) if needed is None else await page.visitor(request)
-            if needed is not None and visitor.role < needed:
-                reason = f"this needs the role {needed.word}, yours is {visitor.role.word}"
-                raise NotAllowed(HTTPStatus.FORBIDDEN, reason)
-            return await handler(page, request, visitor)
-        except NotAllowed as error:
-            return answer(error.status, ok=False, error=str(error))
-        except RequestError as error:
-            return answer(HTTPStatus.BAD_REQUEST, ok=False, error=str(error))
-        except GreenhouseError as error:
-            return answer(HTTPStatus.SERVICE_UNAVAILABLE, ok=False, error=str(error))
+        return await answered(serve(request))
 
     return endpoint

@@ -9,8 +9,8 @@ import asyncio
 import ipaddress
 import re
 import socket
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from http import HTTPStatus
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -36,7 +36,7 @@ HEADERS = {
 
 
 class _TooLarge(Exception):
-    """A body that is longer than BODY_MAX, or comes too slowly."""
+    """A body that is longer than it may be, or comes too slowly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +44,12 @@ class Guard:
     """An ASGI application around another one.
 
     names : host names by which browsers may reach the page, besides addresses
+    body_max : largest body, by path, where it is not BODY_MAX [bytes]
     """
 
     app: ASGIApp
     names: frozenset[str]
+    body_max: Mapping[str, int] = field(default_factory=dict)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a request, or refuse it with the reason as JSON."""
@@ -61,7 +63,11 @@ class Guard:
             await _refuse(status, reason)(scope, receive, sending)
             return
         try:
-            body = b"" if scope["method"] in SAFE else await _body(receive)
+            body = (
+                b""
+                if scope["method"] in SAFE
+                else await _body(receive, self.body_max.get(scope["path"], BODY_MAX))
+            )
         except _TooLarge as error:
             await _refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, str(error))(scope, receive, sending)
             return
@@ -112,7 +118,7 @@ def _origins(scheme: str, host: str, headers: Headers) -> tuple[str, ...]:
     return (f"{scheme}://{host}", f"https://{host}") if scheme == "http" else (f"{scheme}://{host}",)
 
 
-async def _body(receive: Receive) -> bytes:
+async def _body(receive: Receive, body_max: int) -> bytes:
     """Return all of a body. Errors: _TooLarge"""
     parts, length = [], 0
     try:
@@ -123,8 +129,8 @@ async def _body(receive: Receive) -> bytes:
                     raise _TooLarge("the request ended before its body did")
                 parts.append(message.get("body", b""))
                 length += len(parts[-1])
-                if length > BODY_MAX:
-                    raise _TooLarge(f"a request has {BODY_MAX} bytes at most")
+                if length > body_max:
+                    raise _TooLarge(f"a request has {body_max} bytes at most")
                 if not message.get("more_body", False):
                     return b"".join(parts)
     except TimeoutError:

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 
 import uvicorn
 
-from edge.config.settings import Settings
+from edge.config.settings import PageSettings, Settings
 from edge.core.errors import ConfigError
 from edge.page.access import Access
 from edge.page.app import make_app
 from edge.page.certificate import check_certificate
+from edge.page.guard import Guard
 from edge.page.protocol import BACKLOG, CONNECTIONS_MAX, HEAD_MAX, ImpatientProtocol, limit_connections
 
 LOCAL = "127.0.0.1"
@@ -29,8 +30,7 @@ def serve(settings: Settings, file: str = "") -> None:
 
     file : of the settings, "" for every default
     """
-    _give_memory_back()
-    limit_connections()
+    prepare()
     access = Access.of(settings.page.folder)
     while True:
         opened = bool(settings.page.host) or access.is_open_to_network
@@ -38,17 +38,21 @@ def serve(settings: Settings, file: str = "") -> None:
             return
 
 
-def _give_memory_back() -> None:
-    """Let the allocator return large blocks: else each thread keeps the 16 MB of a password's scrypt."""
+def prepare() -> None:
+    """Make this process one that serves, before any connection.
+
+    The allocator returns large blocks: else each thread keeps the 16 MB of a password's scrypt.
+    """
+    limit_connections()
     with contextlib.suppress(AttributeError):  # another C library than glibc
         ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE_BLOCK)
 
 
 async def _serve(settings: Settings, file: str, access: Access, opened: bool) -> bool:
     """Serve until the end, or until the network is allowed; return whether it is the end."""
-    server = uvicorn.Server(_config(settings, file))
+    server = uvicorn.Server(config_of(make_app(settings, file), settings.page))
     with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(each) for each in _listen(settings, opened)]
+        sockets = [stack.enter_context(each) for each in listen(settings.page, opened)]
         watching = asyncio.create_task(_watch(server, access, opened))
         await server.serve(sockets=sockets)
         if not watching.done():
@@ -64,11 +68,11 @@ async def _watch(server: uvicorn.Server, access: Access, opened: bool) -> None:
     server.should_exit = True
 
 
-def _config(settings: Settings, file: str) -> uvicorn.Config:
-    page = settings.page
+def config_of(app: Guard, page: PageSettings) -> uvicorn.Config:
+    """Return how an application is served. Errors: ConfigError for a bad certificate"""
     check_certificate(page)
     return uvicorn.Config(
-        make_app(settings, file),
+        app,
         http=ImpatientProtocol,
         loop="asyncio",
         ws="none",
@@ -86,9 +90,11 @@ def _config(settings: Settings, file: str) -> uvicorn.Config:
     )
 
 
-def _listen(settings: Settings, opened: bool) -> Iterator[socket.socket]:
-    """Yield the sockets to listen at. Errors: ConfigError"""
-    page = settings.page
+def listen(page: PageSettings, opened: bool) -> Iterator[socket.socket]:
+    """Yield the sockets to listen at. Errors: ConfigError
+
+    opened : to the network, where the settings name no address
+    """
     hosts = (page.host,) if page.host else ("::",) if opened and socket.has_dualstack_ipv6() else ("",)
     if not page.host and not opened:
         hosts = (LOCAL,)

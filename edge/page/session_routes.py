@@ -10,10 +10,9 @@ from edge.core.errors import RequestError
 from edge.core.version import __version__
 from edge.page.access import DAY_S, LINK_DAYS_MAX, ROLES, Role, Visitor
 from edge.page.answers import Json, NotAllowed, answer, document, in_thread, number, text
+from edge.page.cookie import delete_cookie, set_cookie
 from edge.page.orders import NEEDS
-from edge.page.page_state import COOKIE, TRY_EVERY_S, Page
-
-COOKIE_S = int(365 * DAY_S)  # the session ends before, on this side
+from edge.page.page_state import Page
 
 
 async def enter(page: Page, request: Request, _: Visitor) -> Response:
@@ -25,16 +24,14 @@ async def enter(page: Page, request: Request, _: Visitor) -> Response:
         wrong = "this link is not valid any more, or was used already"
     else:
         name, password = text(given, "name", 40), text(given, "password")
-        if not page.may_try(request, name):
-            raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, f"too many tries: wait {TRY_EVERY_S:g} s")
-        begun = await in_thread(page.access.log_in, name, password, browser, places=page.passwords)
+        page.tries.take(request.client.host if request.client else "", name)
+        begun = await in_thread(page.access.log_in, name, password, browser, places=page.tries.places)
         wrong = "name or password is wrong"
     if begun is None:
         raise NotAllowed(HTTPStatus.UNAUTHORIZED, wrong)
     secret, visitor = begun
     response = answer(ok=True, **_me(visitor))
-    secure = request.url.scheme == "https" or request.headers.get("x-forwarded-proto") == "https"
-    response.set_cookie(COOKIE, secret, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure)
+    set_cookie(request, response, secret)
     return response
 
 
@@ -42,7 +39,7 @@ async def leave(page: Page, request: Request, visitor: Visitor) -> Response:
     """End the visitor's own session."""
     await in_thread(page.access.revoke, visitor.session)
     response = answer(ok=True)
-    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
+    delete_cookie(response)
     return response
 
 

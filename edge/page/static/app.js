@@ -5,6 +5,7 @@ import { call, follow } from "./api.js";
 import { Alarms } from "./alarms.js";
 import { Calibration } from "./calibration.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
+import { Door } from "./door.js";
 import { ModelCards } from "./models.js";
 import { Memory } from "./memory.js";
 import { Profile } from "./profile.js";
@@ -137,24 +138,6 @@ function Rig({ me }) {
     <${Stop} view=${view} me=${me} done=${done} />`;
 }
 
-function Door({ reason, entered }) {
-  const [name, setName] = useState("");
-  const [password, setPassword] = useState("");
-  const [error, setError] = useState(reason);
-  const enter = (event) => {
-    event.preventDefault();
-    call("POST", "/api/session", { name, password }).then(entered, (failed) => setError(failed.message));
-  };
-  return html`<main class="door"><section class="card"><h1>Greenhouse</h1>
-    <p>Open the link that <code>greenhouse page pair</code> prints on the rig's computer, or log in.</p>
-    ${error && html`<p class="error" role="alert">${error}</p>`}
-    <form onSubmit=${enter}>
-      <label>Name <input autocomplete="username" value=${name} onInput=${(event) => setName(event.target.value)} /></label>
-      <label>Password <input type="password" autocomplete="current-password" value=${password} onInput=${(event) => setPassword(event.target.value)} /></label>
-      <button class="plain">Log in</button>
-    </form></section></main>`;
-}
-
 function App() {
   const [me, setMe] = useState(null);
   const [reason, setReason] = useState(null);
@@ -167,7 +150,7 @@ function App() {
     call("POST", "/api/session", { link }).then(look, (error) => look().then(() => setReason(error.message)));
   }, []);
   if (me) return html`<${Rig} me=${me} />`;
-  return reason == null ? html`<p class="quiet">Loading …</p>` : html`<${Door} reason=${reason} entered=${look} />`;
+  return reason == null ? html`<p class="quiet">Loading …</p>` : html`<${Door} reason=${reason} entered=${look}>Open the link that <code>greenhouse page pair</code> prints on the rig's computer, or log in.<//>`;
 }
 
 render(html`<${App} />`, document.getElementById("app"));

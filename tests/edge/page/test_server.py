@@ -17,7 +17,7 @@ def test_the_body_of_an_answer_does_not_wait_for_the_head_to_be_acknowledged(ope
     settings = config.default()
     settings = replace(settings, page=replace(settings.page, port=free_port()))
     with ExitStack() as stack:
-        listeners = [stack.enter_context(each) for each in server._listen(settings, opened)]
+        listeners = [stack.enter_context(each) for each in server.listen(settings.page, opened)]
         assert listeners
         for listener in listeners:
             stack.enter_context(socket.create_connection(("127.0.0.1", settings.page.port), timeout=10.0))
