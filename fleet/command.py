@@ -15,6 +15,10 @@ VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`,
         "fleet.commands.ingest",
         "store what rigs send, and ask for what is missing",
     ),
+    "up": ("fleet.commands.up", "start a fleet on this machine: authority, engines, page"),
+    "down": ("fleet.commands.down", "end it; its data stays unless it is erased"),
+    "rig": ("fleet.commands.rig", "add, list or remove the rigs that may come in"),
+    "rules": ("fleet.commands.rules", "print the rules of vmalert"),
     "serve": ("fleet.commands.serve", "serve the page and its API"),
     "user": ("fleet.commands.user", "add, list or remove people who may log in"),
     "rigs": ("fleet.commands.rigs", "list the rigs that were ever heard"),
@@ -23,6 +27,7 @@ VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`,
         "do the jobs of a night: what boxes have in common, which are unlike",
     ),
 }
+OF_A_MACHINE = ("up", "down", "rig")  # they make what the settings need: `run(arguments)`
 SETTINGS = Path("/etc/greenhouse-fleet/fleet.yaml")
 
 
@@ -32,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, (module_name, help_text) in VERBS.items():
         verb = verbs.add_parser(name, help=help_text, description=f"{help_text[0].upper()}{help_text[1:]}.")
-        verb.add_argument("--settings", type=Path, default=SETTINGS, help=f"usual: {SETTINGS}")
+        if name not in OF_A_MACHINE:
+            verb.add_argument("--settings", type=Path, default=SETTINGS, help=f"usual: {SETTINGS}")
         if name == called:
             module = _import(module_name)
             module.add_arguments(verb)
@@ -52,4 +58,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out a verb. Errors: GreenhouseError"""
     from fleet.settings import load
 
+    if arguments.verb in OF_A_MACHINE:
+        return int(arguments.run_verb(arguments))
     return int(arguments.run_verb(load(arguments.settings), arguments))

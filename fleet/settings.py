@@ -5,8 +5,7 @@ from pathlib import Path
 
 from edge.config.loading import all_problems
 from edge.config.settings import URL, MqttSettings
-from edge.formats.cross_check import Section, number, text, whole
-from edge.formats.cross_check import Section, items, text, whole
+from edge.formats.cross_check import Section, items, number, text, whole
 from edge.formats.reader import read_yaml
 
 
@@ -67,12 +66,23 @@ class FleetPageSettings(Section):
 
 
 @dataclass(frozen=True, slots=True)
+class AlarmRuleSettings(Section):
+    """When vmalert raises an alarm; `greenhouse fleet up` writes its rules."""
+
+    silent_s: float = number(600.0, "a rig without a tick for so long is silent", "s", 60.0, 86400.0)
+    air_max_c: float = number(
+        41.0, "air above it is an alarm; a rig's own safety turns its heater off at 40", "degC", 10.0, 80.0
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class FleetSettings(Section):
     """All of `fleet.yaml`. mqtt : `rig` is the client id"""
 
     database: DatabaseSettings = field(default_factory=DatabaseSettings)
     numbers: NumbersSettings = field(default_factory=NumbersSettings)
     ingest: IngestSettings = field(default_factory=IngestSettings)
+    alarms: AlarmRuleSettings = field(default_factory=AlarmRuleSettings)
     page: FleetPageSettings = field(default_factory=FleetPageSettings)
     mqtt: MqttSettings = field(default_factory=lambda: MqttSettings(rig="fleet"))
 

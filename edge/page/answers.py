@@ -23,7 +23,7 @@ class NotAllowed(Exception):
         self.status = status
 
 
-async def answered(work: Awaitable[Response]) -> Response:
+async def as_answer(work: Awaitable[Response]) -> Response:
     """Return a route's answer; a refusal or an error becomes JSON with the reason."""
     try:
         return await work

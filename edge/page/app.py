@@ -19,7 +19,7 @@ from edge.page import export, model_routes, rig_routes, session_routes
 from edge.page.access import Access, Role, Visitor
 from edge.page.alarms import alarm_routes
 from edge.page.alarms.alarm_desk import AlarmDesk
-from edge.page.answers import NotAllowed, answered
+from edge.page.answers import NotAllowed, as_answer
 from edge.page.courses import Courses
 from edge.page.guard import Guard, own_names
 from edge.page.page_state import Page
@@ -99,6 +99,6 @@ def _endpoint(page: Page, handler: Handler, needed: Role | None) -> Callable[[Re
         return await handler(page, request, visitor)
 
     async def endpoint(request: Request) -> Response:
-        return await answered(serve(request))
+        return await as_answer(serve(request))
 
     return endpoint

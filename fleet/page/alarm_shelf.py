@@ -25,7 +25,7 @@ SHOWN_MAX = 200
 
 @dataclass(frozen=True, slots=True)
 class PostedAlert(Foreign, CheckedDocument):
-    """What vmalert sends of an alert; one that holds is given an end in the future."""
+    """An alert as vmalert sends it; one that holds is given an end in the future."""
 
     labels: Mapping[str, str]
     ends: str = field(metadata={"key": "endsAt"})

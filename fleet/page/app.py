@@ -15,7 +15,7 @@ from starlette.staticfiles import StaticFiles
 
 from edge.config.secrets import read_secret
 from edge.core.errors import DataError
-from edge.page.answers import answered
+from edge.page.answers import as_answer
 from edge.page.app import STATIC as PARTS
 from edge.page.guard import Guard, own_names
 from fleet.database.base import open_database
@@ -80,7 +80,7 @@ def make_fleet_app(settings: FleetSettings) -> Guard:
 
 def _for_anybody(page: FleetPage, handler: OpenHandler) -> Callable[[Request], Awaitable[Response]]:
     async def endpoint(request: Request) -> Response:
-        return await answered(_with_database(handler(page, request)))
+        return await as_answer(_with_database(handler(page, request)))
 
     return endpoint
 
@@ -90,7 +90,7 @@ def _for_visitors(page: FleetPage, handler: FleetHandler) -> Callable[[Request],
         return await handler(page, request, await page.visitor(request))
 
     async def endpoint(request: Request) -> Response:
-        return await answered(_with_database(serve(request)))
+        return await as_answer(_with_database(serve(request)))
 
     return endpoint
 

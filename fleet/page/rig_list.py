@@ -11,7 +11,7 @@ from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
 from fleet.database.rigs import FleetRig
-from fleet.page.standing import Finding, Standing, find, number_of
+from fleet.page.standing import RigFinding, Standing, find, number_of
 
 Json = dict[str, Any]
 Drifts = Mapping[str, Mapping[str, Any]]
@@ -30,7 +30,7 @@ class ListedRig:
     last_utc: float
     state: Mapping[str, Any]
     drift: Mapping[str, Any]
-    finding: Finding
+    finding: RigFinding
 
     def row(self) -> Json:
         """Return its line of the list; a number that is not known is null."""
@@ -96,19 +96,19 @@ class RigList:
         """Return a rig as it is in the table now."""
         with Session(self._engine) as session:
             row = session.get(FleetRig, name)
-            return None if row is None else _listed(row, drifts, now_utc)
+            return None if row is None else _rig_of(row, drifts, now_utc)
 
     def _all(self, drifts: Drifts, now_utc: float) -> list[ListedRig]:
         with self._lock:
             if time.monotonic() - self._read_s > FRESH_S:
                 with Session(self._engine) as session:
-                    rigs = [_listed(row, drifts, now_utc) for row in session.scalars(select(FleetRig))]
+                    rigs = [_rig_of(row, drifts, now_utc) for row in session.scalars(select(FleetRig))]
                 self._rigs = sorted(rigs, key=lambda rig: (rig.finding.standing, rig.name))
                 self._read_s = time.monotonic()
             return self._rigs
 
 
-def _listed(row: FleetRig, drifts: Drifts, now_utc: float) -> ListedRig:
+def _rig_of(row: FleetRig, drifts: Drifts, now_utc: float) -> ListedRig:
     drift = drifts.get(row.name, {})
     finding = find(row.state, drift, row.is_online, row.last_utc, now_utc)
     return ListedRig(row.name, row.group, row.kind, row.last_utc, row.state, drift, finding)

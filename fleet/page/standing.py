@@ -30,7 +30,7 @@ STANDINGS = {standing.word: standing for standing in Standing}
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class RigFinding:
     """A rig's standing and the reason as a sentence, "" where it is well."""
 
     standing: Standing
@@ -39,7 +39,7 @@ class Finding:
 
 def find(
     state: Mapping[str, Any], drift: Mapping[str, Any], is_online: bool, last_utc: float, now_utc: float
-) -> Finding:
+) -> RigFinding:
     """Return the worst that is so.
 
     state, drift : the newest payloads of the rig's topics of these names, {} before the first
@@ -47,23 +47,23 @@ def find(
     """
     silent_s = now_utc - last_utc
     if not last_utc:
-        return Finding(Standing.OFFLINE, "never heard yet")
+        return RigFinding(Standing.OFFLINE, "never heard yet")
     if not is_online or not silent_s < SILENT_S:
-        return Finding(Standing.OFFLINE, f"last heard {_age(silent_s)} ago")
+        return RigFinding(Standing.OFFLINE, f"last heard {_age(silent_s)} ago")
     if state.get("tripped"):
-        return Finding(Standing.TRIPPED, f"tripped: {state.get('trips') or 'no cause given'}")
+        return RigFinding(Standing.TRIPPED, f"tripped: {state.get('trips') or 'no cause given'}")
     if fault := _fault(state):
-        return Finding(Standing.FAULTED, fault)
+        return RigFinding(Standing.FAULTED, fault)
     if state.get("emergency_stop"):
-        return Finding(Standing.STOPPED, "emergency stop: everything stays off until it is released")
+        return RigFinding(Standing.STOPPED, "emergency stop: everything stays off until it is released")
     if state.get("maintenance"):
-        return Finding(Standing.STOPPED, "in maintenance: everything is off")
+        return RigFinding(Standing.STOPPED, "in maintenance: everything is off")
     off_k = _off_reference(state)
     if off_k is not None and not abs(off_k) <= OFF_REFERENCE_K:
-        return Finding(Standing.OFF_REFERENCE, f"air is {off_k:+.1f} K off its reference")
+        return RigFinding(Standing.OFF_REFERENCE, f"air is {off_k:+.1f} K off its reference")
     if drift.get("state") == "disagrees":
-        return Finding(Standing.DRIFT, str(drift.get("text") or "its twin disagrees with the greenhouse"))
-    return Finding(Standing.WELL)
+        return RigFinding(Standing.DRIFT, str(drift.get("text") or "its twin disagrees with the greenhouse"))
+    return RigFinding(Standing.WELL)
 
 
 def number_of(values: Mapping[str, Any], key: str) -> float | None:

@@ -1,0 +1,61 @@
+"""`greenhouse fleet up`: a fleet on this machine, as services, or below this process for a try."""
+
+import argparse
+import importlib.util
+import sys
+from pathlib import Path
+
+from fleet.machine import service
+from fleet.machine.engines import Engine, engines
+from fleet.machine.foreground import run_below
+from fleet.machine.places import FOLDER, FleetMachine, places_of
+from fleet.machine.setting_up import set_up
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the folder and the names."""
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="of its settings; usual: %(default)s")
+    parser.add_argument(
+        "--foreground",
+        action="store_true",
+        help="a try without root: until Ctrl-C, this machine alone",
+    )
+    parser.add_argument(
+        "--name", action="append", default=[], help="by which rigs and browsers reach it; may be given again"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Start it. Errors: RequestError, ConfigError, DataError, OSError"""
+    places = places_of(arguments.folder)
+    if not arguments.foreground:
+        service.check_root()
+        service.check_program(Path(sys.executable))
+    machine = set_up(places, arguments.name, arguments.foreground, _tell)
+    programs = [engine for engine in engines(places, machine) if _is_here(engine)]
+    if arguments.foreground:
+        _tell(f"{_address(machine)} will be the page; logs are in {machine.data}/log")
+        return run_below(places, machine, programs, _tell)
+    service.make_user(machine)
+    service.give_files(places, machine)
+    service.start(programs, machine, places)
+    _tell(f"{_address(machine)} is the page; make a person: greenhouse fleet user add NAME --role admin")
+    return 0
+
+
+def _is_here(engine: Engine) -> bool:
+    """Return whether a program of ours is a part of this installation; say so where it is not."""
+    missing = engine.name == "ingest" and importlib.util.find_spec("fleet.commands.ingest") is None
+    if missing:
+        _tell("`greenhouse fleet ingest` is not installed: nothing of a rig will be stored")
+    return not missing
+
+
+def _address(machine: FleetMachine) -> str:
+    port = machine.ports.web
+    name = machine.host or machine.names[0]
+    return f"https://{name}/" if port == 443 else f"https://{name}:{port}/"
+
+
+def _tell(words: str) -> None:
+    print(words, flush=True)

@@ -1,0 +1,19 @@
+"""A word to the running broker: read the access list anew."""
+
+import os
+import signal
+from pathlib import Path
+
+from fleet.machine.places import FleetMachine
+
+
+def reload_rights(machine: FleetMachine) -> bool:
+    """Have the broker read its access list; return whether one runs. Errors: PermissionError"""
+    try:
+        number = int((Path(machine.data) / "broker" / "mosquitto.pid").read_text())
+        if (Path("/proc") / str(number) / "comm").read_text().strip() != "mosquitto":
+            return False  # it has ended, and the number is somebody else's
+        os.kill(number, signal.SIGHUP)
+    except (FileNotFoundError, ProcessLookupError, ValueError):
+        return False
+    return True

@@ -1,0 +1,125 @@
+"""The papers of a rig: who it is to the broker, in a file of the fleet's, and what it takes with it."""
+
+import io
+import re
+import secrets
+import tarfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import yaml
+
+from edge.config.loading import all_problems
+from edge.core.errors import RequestError
+from edge.formats.atomic_file import make_folder, write_atomically
+from edge.formats.cross_check import Section, number, text
+from edge.formats.reader import read_yaml
+from fleet.machine.authority import Authority, write_secret
+from fleet.machine.places import FleetMachine, FleetPlaces
+
+NAME_OF_RIG = (
+    r"[a-zA-Z0-9_-]{1,55}"  # a certificate's name has 64 characters, 9 of which tell two issues apart
+)
+WORD = r"[a-zA-Z0-9_-]{0,64}"
+RESERVED = ("fleet",)
+HOME = "/etc/greenhouse/fleet"  # of the papers, on the rig
+READ_ME = """Papers of the rig {name} for the fleet at {host}.
+
+On the rig, as root:
+
+    mkdir -p {home} && tar -xzf {name}.tar.gz -C {home}
+    chown -R root:greenhouse {home} && chmod 0750 {home} && chmod 0640 {home}/*
+
+Put the section of {home}/mqtt.yaml into /etc/greenhouse/edge.yaml in place of its section mqtt, then
+
+    systemctl restart greenhouse
+
+rig.key is a secret: who has it can speak as this rig, and as no other one.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class RigPaper(Section):
+    """The fleet's own file of a rig.
+
+    common_name : drawn anew with each certificate, so that one of an earlier rig of this name has no rights
+    """
+
+    name: str = text("", "its name in every topic", pattern=NAME_OF_RIG)
+    common_name: str = text("", "the broker's name for it", pattern=r"[a-zA-Z0-9_.-]{1,64}")
+    group: str = text("", "whose people may see it", pattern=WORD)
+    kind: str = text("", "boxes that are built alike share one", pattern=WORD)
+    made_utc: float = number(0.0, "when its certificate was made, since 1970", "s", 0.0, 1e12)
+
+
+def new_paper(name: str, group: str, kind: str) -> RigPaper:
+    """Return the paper of a new rig. Errors: RequestError for a word that may not stand in a topic"""
+    for what, word, pattern in (
+        ("NAME", name, NAME_OF_RIG),
+        ("--group", group, WORD),
+        ("--kind", kind, WORD),
+    ):
+        if not re.fullmatch(pattern, word):
+            raise RequestError(f"{what}: {word!r} does not match {pattern}")
+    if name in RESERVED:
+        raise RequestError(f"NAME: {name!r} is the fleet's own name at the broker")
+    return RigPaper(name, f"{name}.{secrets.token_hex(4)}", group, kind, round(time.time(), 1))
+
+
+def read_papers(places: FleetPlaces) -> Iterator[RigPaper]:
+    """Yield the papers of all rigs, by name. Errors: ConfigError"""
+    for path in sorted(places.rigs.glob("*.yaml")):
+        with all_problems(path):
+            yield read_yaml(RigPaper, path)
+
+
+def write_paper(places: FleetPlaces, paper: RigPaper) -> None:
+    """Write the fleet's own file of a rig. Errors: OSError"""
+    make_folder(places.rigs)
+    write_atomically(path_of(places, paper.name), yaml.safe_dump(asdict(paper)))
+
+
+def path_of(places: FleetPlaces, name: str) -> Path:
+    """Return the fleet's file of a rig. Errors: RequestError for what is no rig's name"""
+    if not re.fullmatch(NAME_OF_RIG, name):
+        raise RequestError(f"NAME: {name!r} does not match {NAME_OF_RIG}")
+    return places.rigs / f"{name}.yaml"
+
+
+def pack(places: FleetPlaces, machine: FleetMachine, paper: RigPaper, out: Path) -> None:
+    """Write what the rig takes with it, as an archive that only its owner reads. Errors: OSError
+
+    The key is made here and stays nowhere else.
+    """
+    credential = Authority(places.authority, places.authority_key).for_client(paper.common_name)
+    host = machine.names[0]
+    mqtt = {
+        "enabled": True,
+        "host": host,
+        "port": machine.ports.broker,
+        "tls": True,
+        "ca": f"{HOME}/ca.crt",
+        "client_cert": f"{HOME}/rig.crt",
+        "client_key": f"{HOME}/rig.key",
+        "rig": paper.name,
+    }
+    files = {
+        "README.txt": READ_ME.format(name=paper.name, host=host, home=HOME).encode(),
+        "mqtt.yaml": yaml.safe_dump({"mqtt": mqtt}, sort_keys=False).encode(),
+        "ca.crt": places.authority.read_bytes(),
+        "rig.crt": credential.certificate,
+        "rig.key": credential.key,
+    }
+    write_secret(out, _archive(files), 0o600)
+
+
+def _archive(files: dict[str, bytes]) -> bytes:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w:gz") as archive:
+        for name, content in files.items():
+            entry = tarfile.TarInfo(name)
+            entry.size, entry.mode, entry.mtime = len(content), 0o600, int(time.time())
+            archive.addfile(entry, io.BytesIO(content))
+    return packed.getvalue()

@@ -1,0 +1,79 @@
+"""Rigs come in and go: papers, rights at the broker, a row in the database."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from sqlalchemy import Table, delete
+from sqlalchemy.orm import Session
+
+from edge.config.settings import Settings
+from edge.core.errors import RequestError
+from edge.mqtt.telemetry import remove as remove_retained
+from fleet.database.base import FleetTable, open_database
+from fleet.database.rigs import FleetRig
+from fleet.machine.broker_signals import reload_rights
+from fleet.machine.places import FleetPlaces
+from fleet.machine.rig_papers import new_paper, pack, path_of, write_paper
+from fleet.machine.setting_up import write_rights
+from fleet.settings import FleetSettings, load
+
+
+def add_rig(places: FleetPlaces, name: str, group: str, kind: str, out: Path) -> bool:
+    """Let a rig come in, and write what it takes with it; return whether a broker runs that knows it now.
+
+    Errors : RequestError, ConfigError, DataError, OSError
+    """
+    machine, paper = places.read(), new_paper(name, group, kind)
+    if path_of(places, name).exists():
+        raise RequestError(f"{name} is a rig of this fleet already; remove it first to make new papers")
+    if out.exists():
+        raise RequestError(f"{out} exists already")
+    with Session(open_database(load(places.settings).database)) as session, session.begin():
+        known = session.get(FleetRig, name)
+        if known is None:
+            known = FleetRig(name=name, first_utc=time.time(), last_utc=0.0, is_online=False, state={})
+            session.add(known)
+        known.group, known.kind = group, kind
+    # First what the rig takes: where that cannot be written, nobody has rights that nobody can use.
+    pack(places, machine, paper, out)
+    write_paper(places, paper)
+    write_rights(places)
+    return reload_rights(machine)
+
+
+def remove_rig(places: FleetPlaces, name: str, erase: bool) -> str:
+    """Take a rig's rights away, and its rows where they are to be erased; return what could not be done.
+
+    Errors : RequestError where there is no such rig
+    """
+    machine, path = places.read(), path_of(places, name)
+    if not path.exists():
+        raise RequestError(f"{name} is no rig of this fleet: see `greenhouse fleet rig list`")
+    path.unlink()
+    write_rights(places)
+    reload_rights(machine)
+    settings = load(places.settings)
+    left = _forget(settings, name)
+    if erase:
+        with Session(open_database(settings.database)) as session, session.begin():
+            for table in reversed(FleetTable.metadata.sorted_tables):
+                _erase(session, table, name)
+    return left
+
+
+def _forget(settings: FleetSettings, name: str) -> str:
+    """Take the rig's retained messages off the broker, by the fleet's own rights."""
+    try:
+        remove_retained(Settings(mqtt=replace(settings.mqtt, rig=name)))
+    except RequestError as error:
+        return f"what the broker has kept of {name} stays there: {error}"
+    return ""
+
+
+def _erase(session: Session, table: Table, name: str) -> None:
+    columns = [key.parent for key in table.foreign_keys if key.target_fullname == "rigs.name"]
+    columns += [table.c.name] if table.name == "rigs" else []
+    columns += [table.c.rig] if "rig" in table.c and not columns else []
+    for column in columns:
+        session.execute(delete(table).where(column == name))

@@ -1,0 +1,98 @@
+"""The fleet as services of this machine: user, units, start and end by systemd. All of it needs root."""
+
+import os
+import pwd
+import shutil
+import stat
+import subprocess
+from pathlib import Path
+
+from edge.core.errors import RequestError
+from edge.formats.atomic_file import write_atomically
+from fleet.machine.engines import Engine
+from fleet.machine.places import FleetMachine, FleetPlaces
+from fleet.machine.units import PREFIX, TARGET, unit_files
+
+UNITS = Path("/etc/systemd/system")
+
+
+def check_root() -> None:
+    """Refuse anybody else before anything is made. Errors: RequestError"""
+    if os.geteuid() != 0:
+        raise RequestError(
+            "this makes services of the machine: call it as root, or try it with --folder DIR --foreground"
+        )
+
+
+def check_program(python: Path) -> None:
+    """Refuse a Python that the services' user cannot reach. Errors: RequestError"""
+    for place in (python.absolute(), *python.absolute().parents):
+        if not place.stat().st_mode & stat.S_IXOTH or place in (Path("/root"), Path("/home")):
+            raise RequestError(f"{python}: services cannot reach it; install into /opt/greenhouse/venv")
+
+
+def make_user(machine: FleetMachine) -> None:
+    """Make the user as whom the engines run. Errors: RequestError"""
+    try:
+        pwd.getpwnam(machine.user)
+    except KeyError:
+        _call(
+            "useradd",
+            "--system",
+            "--user-group",
+            "--home-dir",
+            machine.data,
+            "--shell",
+            "/usr/sbin/nologin",
+            machine.user,
+        )
+
+
+def give_files(places: FleetPlaces, machine: FleetMachine) -> None:
+    """Let the engines' user read the folder, but for the authority's key and papers, and own the data."""
+    user = pwd.getpwnam(machine.user)
+    os.chown(places.folder, 0, user.pw_gid)
+    places.folder.chmod(0o750)
+    for path in places.folder.iterdir():
+        if path.is_file():
+            is_secret = path == places.authority_key
+            os.chown(path, 0, 0 if is_secret else user.pw_gid)
+            path.chmod(0o600 if is_secret else 0o640)
+    for path in (Path(machine.data), *Path(machine.data).rglob("*")):
+        os.chown(path, user.pw_uid, user.pw_gid)
+    Path(machine.data).chmod(0o750)
+
+
+def start(programs: list[Engine], machine: FleetMachine, places: FleetPlaces, units: Path = UNITS) -> None:
+    """Have systemd start the engines, now and at each start of the machine. Errors: RequestError"""
+    files = unit_files(programs, machine, places.folder)
+    for name, content in files.items():
+        write_atomically(units / name, content)
+    _call("systemctl", "daemon-reload")
+    _call("systemctl", "enable", *files)
+    _call("systemctl", "restart", TARGET, *(name for name in files if name != TARGET))
+
+
+def end(machine: FleetMachine, units: Path = UNITS) -> bool:
+    """Stop the services and remove their units; return whether there were any. Errors: RequestError"""
+    files = sorted(path.name for path in units.glob(f"{PREFIX}*") if path.suffix in (".service", ".target"))
+    if not files:
+        return False
+    _call("systemctl", "disable", "--now", *files)
+    for name in files:
+        (units / name).unlink()
+    _call("systemctl", "daemon-reload")
+    return True
+
+
+def erase(places: FleetPlaces, machine: FleetMachine) -> None:
+    """Delete settings, papers, certificates and data. Errors: OSError"""
+    for folder in (Path(machine.data), places.folder):
+        if folder.exists():
+            shutil.rmtree(folder)
+
+
+def _call(*command: str) -> None:
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise RequestError(f"{' '.join(command[:2])} has failed: {done.stderr.strip() or done.returncode}")

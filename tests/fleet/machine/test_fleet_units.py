@@ -1,0 +1,85 @@
+"""The fleet's units: systemd has nothing against them, little is exposed, they start what `up` does."""
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from bench.support.daemon_process import ROOT
+from edge.core.errors import RequestError
+from fleet.machine import service, units
+from fleet.machine.engines import engines
+from fleet.machine.places import FOLDER, FleetMachine, places_of
+
+EXPOSURE_MAX = 2.5
+HERE = ROOT / "deploy" / "fleet"
+
+
+def usual() -> dict[str, str]:
+    try:
+        return units.usual_units()
+    except RequestError as error:
+        pytest.skip(str(error))
+
+
+def test_the_units_of_the_repository_are_those_that_up_writes() -> None:
+    written = {path.name: path.read_text() for path in HERE.iterdir() if path.suffix != ".md"}
+    assert written == usual()
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_systemd_has_nothing_to_say_against_them_and_little_is_exposed(tmp_path: Path) -> None:
+    for name, text in usual().items():
+        (tmp_path / name).write_text(text.replace(units.PYTHON, shutil.which("true") or ""))
+    places = {**os.environ, "SYSTEMD_UNIT_PATH": f"{tmp_path}:"}
+    for name in usual():
+        words = ["systemd-analyze", "verify", "--man=no", str(tmp_path / name)]
+        done = subprocess.run(words, capture_output=True, text=True, env=places)
+        assert (done.returncode, done.stderr) == (0, "")
+        if name.endswith(".service"):
+            words = ["systemd-analyze", "security", "--offline=true", "--no-pager", str(tmp_path / name)]
+            out = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+            score = re.search(r"Overall exposure level for \S+: ([0-9.]+)", out)
+            assert score is not None
+            assert float(score[1]) <= EXPOSURE_MAX, (name, score[1])
+
+
+@pytest.fixture
+def systemctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A systemctl that writes down how it was called."""
+    calls, program = tmp_path / "calls", tmp_path / "bin" / "systemctl"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\necho "$@" >> {calls}\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}:{os.environ['PATH']}")
+    return calls
+
+
+def test_services_are_started_and_every_unit_is_removed_at_the_end(tmp_path: Path, systemctl: Path) -> None:
+    usual()
+    machine = FleetMachine(str(tmp_path / "data"), names=("localhost",))
+    folder = tmp_path / "units"
+    folder.mkdir()
+    (folder / "other.service").write_text("")
+    service.start(list(engines(places_of(FOLDER), machine)), machine, places_of(FOLDER), folder)
+    names = {path.name for path in folder.iterdir()} - {"other.service"}
+    assert names == set(usual())
+    reload, enable, restart = systemctl.read_text().splitlines()
+    assert reload == "daemon-reload"
+    assert set(enable.split()) == {"enable", *names}
+    assert set(restart.split()) == {"restart", *names}
+    assert service.end(machine, folder)
+    assert set(systemctl.read_text().splitlines()[3].split()) == {"disable", "--now", *names}
+    assert [path.name for path in folder.iterdir()] == ["other.service"]
+    assert not service.end(machine, folder)
+
+
+def test_a_python_that_services_cannot_reach_is_refused(tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o700)
+    (closed / "python").touch(0o755)
+    with pytest.raises(RequestError, match="/opt/greenhouse/venv"):
+        service.check_program(closed / "python")
