@@ -10,9 +10,9 @@ export const WORDS = {
 
 function Row({ rig }) {
   return html`<li><a class=${rig.standing} href=${`#rig=${encodeURIComponent(rig.name)}`}>
-    <b>${rig.name}</b><span class="numbers">${degrees(rig.temp_air_c)}<span class="quiet"> of ${degrees(rig.reference_c)}</span></span>
+    <b>${rig.name}</b><span class="numbers">${rig.temp_air_c == null ? "–" : rig.temp_air_c.toFixed(1)}<span class="quiet"> of ${degrees(rig.reference_c)}</span></span>
     <span class=${`why ${rig.standing}`}>${rig.why || WORDS[rig.standing]}</span>
-    <span class="numbers quiet">${[rig.group, rig.kind].filter(Boolean).join(" · ")} heater ${percent(rig.heater_duty)}</span>
+    <span class="numbers quiet">${[rig.group, rig.kind, `heater ${percent(rig.heater_duty)}`].filter(Boolean).join(" · ")}</span>
   </a></li>`;
 }
 
