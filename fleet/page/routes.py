@@ -21,6 +21,7 @@ from fleet.database.alarms import FleetOrder
 from fleet.page import series
 from fleet.page.alarm_shelf import read_alerts
 from fleet.page.fleet_page import FleetPage, refuse_below
+from fleet.page.known_twin import known_twin
 from fleet.page.order_desk import OrderDesk, check, payload_of
 from fleet.page.people import EVERY, FleetVisitor
 from fleet.page.rig_list import Wanted
@@ -96,7 +97,7 @@ def _health(page: FleetPage) -> dict[str, Any]:
 
 
 async def rig(page: FleetPage, request: Request, visitor: FleetVisitor) -> Response:
-    """Return one rig: its state, the verdict on its twin, and what the visitor may do with it."""
+    """Return one rig: its state, its newest twin and the verdict on it, and the visitor's role over it."""
     found = await page.rig(visitor, request.path_params["name"])
     role = visitor.role(found.group)
     return answer(
@@ -104,6 +105,7 @@ async def rig(page: FleetPage, request: Request, visitor: FleetVisitor) -> Respo
         **found.row(),
         state=dict(found.state),
         drift=dict(found.drift),
+        twin=await in_thread(known_twin, page.engine, found.name),
         role=role and role.word,
         utc=time.time(),
     )

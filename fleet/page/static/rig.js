@@ -71,11 +71,26 @@ function Stop({ rig, done }) {
   return html`<section class="card" aria-label="Stop"><h2>Stop</h2><${Do} kind="stop" act=${stop}>STOP THIS RIG<//></section>`;
 }
 
+const rounded = (value) => (typeof value === "number" ? Number(value.toPrecision(4)) : String(value ?? "–"));
+
+// A value of a twin is a number, or an object that says how it is known as well.
+function Twin({ rig }) {
+  const twin = rig.twin;
+  const verdict = rig.drift.text ?? rig.drift.state;
+  const values = Object.entries(twin?.effects ?? {}).flatMap(([effect, all]) => Object.entries(all ?? {}).map(([name, value]) => [effect, name, value?.value ?? value]));
+  const unlike = (effect, name) => twin.departures.find((each) => each.effect === effect && each.parameter === name);
+  return html`<section class="card" aria-label="Twin"><h2>Its twin</h2>
+    <p>${verdict ? String(verdict) : "It has said nothing of how well its twin agrees."}</p>
+    ${!twin ? html`<p class="quiet">It has told no twin yet.</p>` : html`<p class="quiet">of bundle ${twin.bundle}, told ${clock(twin.utc, true)}</p>
+      <table><thead><tr><th>effect</th><th>value</th><th>beside its kind</th></tr></thead><tbody>
+      ${values.map(([effect, name, value]) => html`<tr key=${`${effect} ${name}`}><td>${effect} ${name}</td><td>${rounded(value)}</td>
+        <td>${unlike(effect, name) ? html`<b class="why drift">${rounded(unlike(effect, name).ratio)} times what is usual</b>` : ""}</td></tr>`)}</tbody></table>`}
+  </section>`;
+}
+
 function State({ rig }) {
   const rows = Object.entries(rig.state).filter(([, value]) => value !== null && value !== "");
-  const verdict = rig.drift.text ?? rig.drift.state;
   return html`<section class="card" aria-label="State"><h2>What it tells</h2>
-    <p>${verdict ? `Twin: ${String(verdict)}` : "It has told nothing of its twin."}</p>
     <details><summary>All of its state</summary><dl>${rows.map(([key, value]) => html`<dt key=${`${key}-name`}>${key}</dt><dd key=${key}>${String(value)}</dd>`)}</dl></details>
   </section>`;
 }
@@ -91,6 +106,7 @@ export function Rig({ name }) {
     <${Now} rig=${found} />
     <${Course} name=${name} />
     <${Orders} rig=${found} done=${again} />
+    <${Twin} rig=${found} />
     <${State} rig=${found} />
     <${Stop} rig=${found} done=${again} />
   </main>`;

@@ -10,10 +10,13 @@ from fleet_pages import PASSWORD, STATE, FleetPageOfTest, fleet_page
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
+from sqlalchemy.orm import Session
 
 from bench.support.broker import free_port, wait_for
 from bench.support.browser import DESK, PHONE, browser
 from edge.page.access import Role
+from fleet.database.base import open_database
+from fleet.database.twins import ToldTwin
 from fleet.settings import NumbersSettings
 
 pytestmark = pytest.mark.slow
@@ -28,6 +31,9 @@ def page(tmp_path: Path) -> Iterator[FleetPageOfTest]:
             running.add_rig(f"rig-{number:02}", "north" if number % 2 else "south", "tent")
         running.add_rig(EVIL, "north", EVIL, state=STATE | {"tripped": 1, "trips": EVIL})
         running.add_rig("cold", "north", last_utc=time.time() - 7200.0)
+        twin = {"effects": {"wall_loss": {"UA": {"value": 5.123456}}, EVIL: {EVIL: 1.0}}}
+        with Session(open_database(running.settings.database)) as session, session.begin():
+            session.add(ToldTwin(rig="rig-07", bundle=EVIL, utc=1.7e9, document=twin))
         running.people.add("Ann", "north", Role.OPERATE, PASSWORD)
         yield running
 
@@ -69,6 +75,7 @@ def test_a_person_finds_the_worst_rig_and_nothing_is_in_the_way(page: FleetPageO
         driver.find_element(By.CSS_SELECTOR, ".rigs a").send_keys(Keys.ENTER)
         wait_for(lambda: "The last day" in text(driver), "the rig", PATIENCE_S)
         wait_for(lambda: "numbers.url" in text(driver), "why there is no picture", PATIENCE_S)
+        assert "wall_loss UA 5.123" in text(driver).replace("\n", " ")
         assert is_within(driver, size)
         assert serious_findings(driver) == []
         driver.find_element(By.CSS_SELECTOR, "nav a[href='#alarms']").send_keys(Keys.ENTER)

@@ -6,11 +6,14 @@ from pathlib import Path
 
 import pytest
 from fleet_pages import PASSWORD, STATE, TOKEN, FleetPageOfTest, fleet_page
+from sqlalchemy.orm import Session
 
 from bench.support.broker import free_port
 from bench.support.page_process import Client, cookie_of
 from edge.page.access import Role
 from edge.page.password_tries import TRIES
+from fleet.database.base import open_database
+from fleet.database.twins import Departure, ToldTwin
 from fleet.settings import NumbersSettings
 
 EVIL = '<img src=x onerror="alert(1)">'
@@ -230,6 +233,19 @@ def test_alarms_come_from_vmalert_alone_and_are_checked(page: FleetPageOfTest) -
     many = [alert("rig_silent", f"rig-{number}", text="x" * 100) for number in range(1000)]
     assert client.post("/api/v2/alerts", many, **word).ok  # far more than a browser may send
     assert len(page.client("Ann").get("/api/alarms").json()["alarms"]) == 200
+
+
+def test_the_newest_twin_and_where_it_is_unlike_its_kind_are_shown(page: FleetPageOfTest) -> None:
+    page.add_rig("a-1", kind="tent")
+    ann = page.client("Ann")
+    assert ann.get("/api/rigs/a-1").json()["twin"] is None
+    with Session(open_database(page.settings.database)) as session, session.begin():
+        effects = {"wall_loss": {"UA": {"value": 5.1, "low": 4.8, "high": 5.4}}}
+        session.add(ToldTwin(rig="a-1", bundle="b-7", utc=1.7e9, document={"effects": effects}))
+        unlike = {"effect": "wall_loss", "parameter": "UA", "ratio": 2.1, "spreads": 4.0, "since_utc": 1.7e9}
+        session.add(Departure(rig="a-1", **unlike))
+    found = ann.get("/api/rigs/a-1").json()["twin"]
+    assert found == {"bundle": "b-7", "utc": 1.7e9, "effects": effects, "departures": [unlike]}
 
 
 def test_numbers_that_cannot_be_read_are_an_error_with_its_place(page: FleetPageOfTest) -> None:
