@@ -241,7 +241,8 @@ class Daemon:
         keys, step_s = Path(settings.bundle.trusted_keys), settings.control.step_s
         store = BundleStore(Path(settings.bundle.path), keys, loader(step_s), prove=Prover(keys, step_s))
         automatic = settings.bundle.auto == "promote"
-        bundles = BundleKeeper(store, self.clock, automatic, settings.bundle.trial_ticks)
+        own = settings.bundle
+        bundles = BundleKeeper(store, self.clock, automatic, own.trial_ticks, own.source)
         self._stack.callback(bundles.close)
         return bundles
 

@@ -15,8 +15,9 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+from edge.bundle import remote
 from edge.bundle.inventory import Inventory, take_inventory
-from edge.bundle.manifest import PACKAGED, TWIN
+from edge.bundle.manifest import PACKAGED, TWIN, Sha256
 from edge.bundle.roles import Roles, activate, last_adopted, marked_good, reject_shadow
 from edge.bundle.store import BundleStore, LoadedBundle
 from edge.bundle.trial import HorizonScore, Judgement, Scores, TrialVerdict, judge
@@ -139,6 +140,7 @@ class _Job:
     action: str
     version: str | None
     why: str
+    order: remote.Order | None = None  # instead of one of ACTIONS
 
 
 _LOOK = _Job(0, "list", None, "")
@@ -154,11 +156,13 @@ class _Age(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BundleRequest:
-    """Keys of the request; job : whose outcome is asked for with the status."""
+    """Keys of the request; job : whose outcome is asked for with the status; url, sha256 : of a fleet's."""
 
-    action: Annotated[str, Rule(choices=("status", "list", *ACTIONS))]
+    action: Annotated[str, Rule(choices=("status", "list", *ACTIONS, *remote.ACTIONS))]
     version: str | None = None
     job: int | None = None
+    url: str | None = None
+    sha256: Sha256 | None = None
 
 
 class BundleKeeper:
@@ -166,10 +170,13 @@ class BundleKeeper:
 
     automatic : follow the scores without being asked
     trial_ticks : scored forecasts per horizon before a bundle on trial is judged
+    source : address under which a fleet's bundles stand; "" where none may order any
     """
 
-    def __init__(self, store: BundleStore, clock: Clock, automatic: bool, trial_ticks: int) -> None:
-        self._store, self._clock = store, clock
+    def __init__(
+        self, store: BundleStore, clock: Clock, automatic: bool, trial_ticks: int, source: str = ""
+    ) -> None:
+        self._store, self._clock, self._source = store, clock, source
         self._automatic, self._trial_ticks = automatic, trial_ticks
         self.serving: Serving = choose(store)
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
@@ -188,13 +195,14 @@ class BundleKeeper:
         """Reply to a request `{"do": "bundle", "action": ..., "version": ..., "job": ...}`; never waits."""
         try:
             asked = read_request(BundleRequest, request)
+            order, what = self._remote_order(asked)
         except RequestError as error:
             return _refusal(str(error))
         if asked.action == "status":
             return {"ok": True, **self._status(asked.job)}
         if asked.action == "list":
             return {"ok": True, **self._status(None), **self._list()}
-        job = self._post(asked.action, asked.version, with_author("asked for", request))
+        job = self._post(asked.action, asked.version, with_author(f"{what}asked for", request), order)
         return _refusal("too many requests wait") if job is None else {"ok": True, "job": job}
 
     def consider(self, serving: Serving, rows: Sequence[HorizonScore]) -> None:
@@ -242,12 +250,22 @@ class BundleKeeper:
         self._jobs.put(None)
         self._thread.join(timeout=5.0)
 
-    def _post(self, action: str, version: str | None, why: str) -> int | None:
+    def _remote_order(self, asked: BundleRequest) -> tuple[remote.Order | None, str]:
+        """Return a fleet's order, and the words by which it knows the event. Errors: RequestError"""
+        if asked.action == remote.INSTALL:
+            return remote.install_order(self._source, asked.url, asked.sha256), f"sha256 {asked.sha256}, "
+        if asked.action == remote.ROLL_BACK:
+            return remote.rollback_order(self._source, asked.version), f"bundle {asked.version}, "
+        return None, ""
+
+    def _post(
+        self, action: str, version: str | None, why: str, order: remote.Order | None = None
+    ) -> int | None:
         with self._posting:
             if self._posted - self._done >= JOBS_WAITING:
                 return None
             self._posted += 1
-            self._jobs.put(_Job(self._posted, action, version, why))
+            self._jobs.put(_Job(self._posted, action, version, why, order))
             return self._posted
 
     def _run(self) -> None:
@@ -271,7 +289,10 @@ class BundleKeeper:
     def _do(self, job: _Job) -> str:
         """Change the store, then what serves. Returns the error, "" without one."""
         try:
-            carry_out(self._store, job.action, job.version)
+            if job.order is not None:
+                job.order(self._store)
+            else:
+                carry_out(self._store, job.action, job.version)
         except (DataError, RequestError) as error:
             return str(error)
         self.serving = choose(self._store, _in_memory(self.serving))

@@ -218,6 +218,12 @@ class BundleSettings(Section):
         "and rolled back where it turns out worse",
         ("off", "promote"),
     )
+    source: str = text(
+        "",
+        "address under which a fleet's bundles stand: orders over MQTT install from there what a trusted key "
+        "has signed; empty: such orders are refused",
+        pattern=URL,
+    )
     trial_ticks: int = whole(
         1440,
         "forecasts scored at each horizon before a bundle in shadow or on probation is judged",

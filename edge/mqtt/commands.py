@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+from edge.bundle import remote
+from edge.bundle.manifest import Sha256, Version
 from edge.config.settings import ReferenceSettings
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import RequestError
@@ -35,6 +37,21 @@ class Resend(CheckedDocument):
         """Check that the span is not backwards."""
         if self.last_seq < self.first_seq:
             self.refuse("last_seq", f"{self.last_seq} is before first_seq, {self.first_seq}")
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteInstall:
+    """Keys of a fleet's order to install a bundle; the keeper of bundles says whether it is obeyed."""
+
+    url: Annotated[str, Rule(least=1)]
+    sha256: Sha256
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteRollback:
+    """Keys of a fleet's order to leave a bundle."""
+
+    version: Version
 
 
 def parse(what: str, payload: bytes, reference: ReferenceSettings) -> Request:
@@ -86,6 +103,14 @@ def _manual(text: str, reference: ReferenceSettings) -> Request:
 
 def _resend(text: str, reference: ReferenceSettings) -> Request:
     return {"do": "resend", **_values(Resend, text)}
+
+
+def _install_bundle(text: str, reference: ReferenceSettings) -> Request:
+    return {"do": "bundle", "action": remote.INSTALL, **_values(RemoteInstall, text)}
+
+
+def _rollback_bundle(text: str, reference: ReferenceSettings) -> Request:
+    return {"do": "bundle", "action": remote.ROLL_BACK, **_values(RemoteRollback, text)}
 
 
 def _wish(text: str, reference: ReferenceSettings) -> Request:
@@ -182,5 +207,7 @@ _PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
     "discard": _discard,
     "undo": _press({"do": "undo"}),
     "why": _why,
+    "install_bundle": _install_bundle,
+    "rollback_bundle": _rollback_bundle,
 }
 COMMANDS = tuple(_PARSERS)

@@ -54,7 +54,7 @@ from edge.models.arx_file import DEFAULT_PATH, ArxDocument, read_arx
 from edge.models.contract import ContractDocument, parse_contract
 from edge.models.policy_contract import PolicyDocument, parse_policy_contract
 from edge.mqtt import commands
-from edge.mqtt.commands import Resend
+from edge.mqtt.commands import RemoteInstall, RemoteRollback, Resend
 from edge.page.alarms.alarm_state import AlarmState
 from edge.page.alarms.trial import ChannelTrial, TrialAnswer
 from edge.safety.memory import Dose, SafetyMemory
@@ -262,6 +262,18 @@ KINDS: dict[type, DocumentKind] = {
         lambda text: commands.parse("resend", text.encode(), SETTINGS.reference),
         lambda: {"first_seq": 1, "last_seq": 2},
         ("last_seq",),
+        RequestError,
+    ),
+    RemoteInstall: DocumentKind(
+        lambda text: commands.parse("install_bundle", text.encode(), SETTINGS.reference),
+        lambda: {"url": "http://fleet/b.zip", "sha256": "a" * 64},
+        (),
+        RequestError,
+    ),
+    RemoteRollback: DocumentKind(
+        lambda text: commands.parse("rollback_bundle", text.encode(), SETTINGS.reference),
+        lambda: {"version": "2.0"},
+        (),
         RequestError,
     ),
     WhyRequest: asked(WhyRequest, {"at_utc": 1.0}, ("at_utc",)),

@@ -50,6 +50,16 @@ REFERENCE = ReferenceSettings(min_c=15.0, max_c=38.0)
         ("clear_trip", b"PRESS", {"do": "clear_trip"}),
         ("follow_schedule", b"PRESS", {"do": "set_reference", "reference_c": None}),
         ("status", b"PRESS", {"do": "status"}),
+        (
+            "install_bundle",
+            b'{"url": "http://fleet/b.zip", "sha256": "%s"}' % (b"a" * 64),
+            {"do": "bundle", "action": "remote-install", "url": "http://fleet/b.zip", "sha256": "a" * 64},
+        ),
+        (
+            "rollback_bundle",
+            b'{"version": "2.0"}',
+            {"do": "bundle", "action": "remote-rollback", "version": "2.0"},
+        ),
     ],
 )
 def test_a_well_formed_command_becomes_a_request(what, payload, request_):
@@ -77,6 +87,11 @@ def test_a_well_formed_command_becomes_a_request(what, payload, request_):
         ("discard", b""),
         ("discard", b" why"),
         ("emergency_stop", b"press"),
+        ("install_bundle", b"{}"),
+        ("install_bundle", b'{"url": "http://fleet/b.zip", "sha256": "A"}'),
+        ("install_bundle", b'{"url": "http://fleet/b.zip", "sha256": "%s", "action": "x"}' % (b"a" * 64)),
+        ("rollback_bundle", b"PRESS"),
+        ("rollback_bundle", b'{"version": "../x"}'),
         ("manual", b"{}"),
         ("manual", b'{"heater_duty": 1.0001}'),
         ("manual", b'{"heater_duty": -0.01}'),

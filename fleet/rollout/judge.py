@@ -1,0 +1,130 @@
+"""Is a wave worse than the boxes that wait? Pure, from hourly costs of both.
+
+Each box is compared with itself before the wave, at the same hours of the day. The boxes of the wave are then
+compared with boxes of their kind whose bundle stays, so that what the weather does to both drops out.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from statistics import fmean
+
+from fleet.rollout.betting import evidence_above, evidence_below
+
+HOUR_S = 3600.0
+DAY_H = 24
+BLOCK_H = 3  # hours that make one value: successive hours resemble each other, successive blocks less
+# A block that is dearer or cheaper by more than this share counts as this share, so no odd block decides.
+BOUND = 0.5
+SMALLEST_COST = 0.02  # a step [1]: below it, a share of the cost says nothing about a box
+COMPARED_LEAST = 2  # boxes on each side
+
+
+@dataclass(frozen=True, slots=True)
+class HourCost:
+    """Mean cost of a step within an hour, as `edge.lab.cost`. begin_utc : a multiple of an hour"""
+
+    begin_utc: float
+    cost: float
+
+
+class Verdict(Enum):
+    """Outcome of a look at a wave; the values are the words of the log."""
+
+    WAIT = "goes on"
+    NOT_WORSE = "shown not worse"
+    TIME_OVER = "time is over without evidence of harm"
+    WORSE = "worse"
+
+
+@dataclass(frozen=True, slots=True)
+class JudgeRules:
+    """Rules of a rollout.
+
+    margin : share of the cost that the new bundle may be dearer by
+    error : probability of a stop without harm, over all looks, kinds and waves of a rollout; and of calling
+        a wave "not worse" although a kind of it is dearer by more than the margin
+    waves : in a rollout; least_blocks : before a wave is let through, as long as a day
+    """
+
+    margin: float
+    error: float
+    waves: int
+    least_blocks: int = DAY_H // BLOCK_H
+
+
+@dataclass(frozen=True, slots=True)
+class KindJudgement:
+    """A kind within a wave. difference : mean over its blocks, share of the cost; harm, safety : evidence"""
+
+    blocks: int
+    difference: float | None
+    harm: float
+    safety: float
+
+
+@dataclass(frozen=True, slots=True)
+class WaveJudgement:
+    """A verdict, its reason and its figures by kind."""
+
+    verdict: Verdict
+    why: str
+    kinds: Mapping[str, KindJudgement] = field(default_factory=dict)
+
+
+def relative_change(costs: Sequence[HourCost], before: Sequence[HourCost], from_utc: float) -> float | None:
+    """Return by which share the block from `from_utc` is dearer than the same hours of the days before it.
+
+    None where an hour of the block is missing, or no hour before it was at the same time of a day.
+    """
+    hours = [from_utc + HOUR_S * k for k in range(BLOCK_H)]
+    now = {hour.begin_utc: hour.cost for hour in costs}
+    times = {_time_of_day(hour) for hour in hours}
+    then = [hour.cost for hour in before if _time_of_day(hour.begin_utc) in times]
+    if not then or any(hour not in now for hour in hours):
+        return None
+    usual = max(fmean(then), SMALLEST_COST)
+    return fmean(now[hour] for hour in hours) / usual - 1.0
+
+
+def difference(changed: Sequence[float], waiting: Sequence[float]) -> float | None:
+    """Return by which share a block is dearer for boxes of the wave than for those that wait, within BOUND.
+
+    None where too few boxes of either have a value.
+    """
+    if min(len(changed), len(waiting)) < COMPARED_LEAST:
+        return None
+    return max(-BOUND, min(fmean(changed) - fmean(waiting), BOUND))
+
+
+def judge(differences: Mapping[str, Sequence[float]], rules: JudgeRules, time_is_over: bool) -> WaveJudgement:
+    """Judge a wave. differences : of each kind in the wave, the blocks so far; none where nothing compares"""
+    found = {kind: _judge_kind(values, rules) for kind, values in sorted(differences.items())}
+    # An e-value of 1 / share refutes at `share`; the shares of all kinds and waves together are `error`.
+    tests = max(len(found), 1) * rules.waves
+    for kind, row in found.items():
+        if row.harm >= tests / rules.error:
+            why = f"kind {kind or '-'} is dearer by {row.difference:.0%}, evidence of harm {row.harm:.3g}"
+            return WaveJudgement(Verdict.WORSE, why, found)
+    # Every kind has to be shown: that one of them is called safe by mistake needs no share for each kind.
+    safe = [kind for kind, row in found.items() if row.safety >= rules.waves / rules.error]
+    seen = min((row.blocks for row in found.values()), default=0)
+    if found and len(safe) == len(found) and seen >= rules.least_blocks:
+        return WaveJudgement(Verdict.NOT_WORSE, f"every kind is within {rules.margin:.0%}", found)
+    if time_is_over:
+        open_ = ", ".join(kind or "-" for kind in found if kind not in safe) or "every kind"
+        return WaveJudgement(Verdict.TIME_OVER, f"not shown to be within {rules.margin:.0%}: {open_}", found)
+    return WaveJudgement(Verdict.WAIT, f"{len(safe)} of {len(found)} kinds are shown not worse", found)
+
+
+def _judge_kind(values: Sequence[float], rules: JudgeRules) -> KindJudgement:
+    return KindJudgement(
+        len(values),
+        fmean(values) if values else None,
+        evidence_above(values, rules.margin, BOUND),
+        evidence_below(values, rules.margin, BOUND),
+    )
+
+
+def _time_of_day(utc: float) -> int:
+    return int(utc // HOUR_S) % DAY_H
