@@ -26,6 +26,7 @@ VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`,
         "fleet.commands.work",
         "do the jobs of a night: what boxes have in common, which are unlike",
     ),
+    "rollout": ("fleet.commands.rollout", "spread a bundle in waves that are judged and rolled back"),
 }
 OF_A_MACHINE = ("up", "down", "rig")  # they make what the settings need: `run(arguments)`
 SETTINGS = Path("/etc/greenhouse-fleet/fleet.yaml")

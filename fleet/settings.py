@@ -76,6 +76,19 @@ class AlarmRuleSettings(Section):
 
 
 @dataclass(frozen=True, slots=True)
+class RolloutSettings(Section):
+    """Bundles in waves. Rigs need `bundle.source` of their own settings to be `address`."""
+
+    address: str = text("", "where rigs fetch bundles: /bundles of `greenhouse fleet serve`", pattern=URL)
+    trusted_keys: str = text("/etc/greenhouse/keys", "folder of public keys (*.pub) whose bundles may spread")
+    margin: float = number(0.1, "share of the control cost by which a bundle may be dearer", "1", 0.0, 0.25)
+    error: float = number(
+        0.05, "probability at most that a rollout is stopped without such harm", "1", 1e-6, 0.5
+    )
+    wave_h: float = number(72.0, "then a wave is over, harm or safety shown or not", "h", 24.0, 2000.0)
+
+
+@dataclass(frozen=True, slots=True)
 class FleetSettings(Section):
     """All of `fleet.yaml`. mqtt : `rig` is the client id"""
 
@@ -84,6 +97,7 @@ class FleetSettings(Section):
     ingest: IngestSettings = field(default_factory=IngestSettings)
     alarms: AlarmRuleSettings = field(default_factory=AlarmRuleSettings)
     page: FleetPageSettings = field(default_factory=FleetPageSettings)
+    rollout: RolloutSettings = field(default_factory=RolloutSettings)
     mqtt: MqttSettings = field(default_factory=lambda: MqttSettings(rig="fleet"))
 
 

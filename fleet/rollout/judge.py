@@ -15,7 +15,7 @@ HOUR_S = 3600.0
 DAY_H = 24
 BLOCK_H = 3  # hours that make one value: successive hours resemble each other, successive blocks less
 # A block that is dearer or cheaper by more than this share counts as this share, so no odd block decides.
-BOUND = 0.5
+BOUND = 0.3
 SMALLEST_COST = 0.02  # a step [1]: below it, a share of the cost says nothing about a box
 COMPARED_LEAST = 2  # boxes on each side
 

@@ -1,0 +1,111 @@
+"""`greenhouse fleet rollout`: begin, watch, stop and run rollouts of bundles."""
+
+import argparse
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+from sqlalchemy import Engine, select
+from sqlalchemy.orm import Session
+
+from fleet.database.base import open_database
+from fleet.database.bundles import BundleRollout, RolloutWave
+from fleet.rollout.archives import add_archive
+from fleet.rollout.begin import begin, rigs_of, stop_by_person
+from fleet.rollout.costs import costs_from
+from fleet.rollout.rig_line import MqttRigLine
+from fleet.rollout.runner import RolloutRunner
+from fleet.settings import FleetSettings
+
+LOOK_S = 30.0
+ACTIONS = {
+    "start": "take a signed bundle in and begin to spread it",
+    "status": "show rollouts, their waves and rigs",
+    "stop": "end a rollout; its rigs roll back",
+    "run": "serve rollouts until it is ended: order, judge, go on or roll back",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the actions."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    action = {
+        name: actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        for name, text in ACTIONS.items()
+    }
+    action["start"].add_argument("bundle", type=Path, help="archive or folder of the bundle")
+    action["start"].add_argument("--group", default="", help="rigs of this group alone; default: all rigs")
+    action["stop"].add_argument("rollout", type=int, help="its number")
+    action["stop"].add_argument("--why", default="a person stopped it", help="reason, for the record")
+    action["status"].add_argument("--rigs", action="store_true", help="a line for each rig too")
+    action["run"].add_argument("--once", action="store_true", help="look once and end")
+
+
+def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
+    """Carry it out. Errors: GreenhouseError"""
+    engine, own = open_database(settings.database), settings.rollout
+    match arguments.action:
+        case "start":
+            sha256 = add_archive(engine, arguments.bundle, Path(own.trusted_keys), time.time())
+            number = begin(engine, own, sha256, arguments.group, time.time())
+            print(f"rollout {number} begins; `greenhouse fleet rollout run` serves it")
+        case "status":
+            _show(engine, arguments.rigs)
+        case "stop":
+            stop_by_person(engine, arguments.rollout, arguments.why, time.time())
+            print(f"rollout {arguments.rollout} is stopped; its rigs are ordered to roll back")
+        case "run":
+            _serve(settings, engine, arguments.once)
+    return 0
+
+
+def _serve(settings: FleetSettings, engine: Engine, once: bool) -> None:
+    ended = threading.Event()
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: ended.set())
+    line = MqttRigLine(settings.mqtt)
+    try:
+        runner = RolloutRunner(engine, settings.rollout.address, line, costs_from(settings.numbers))
+        said = ""
+        while not ended.is_set():
+            for text in runner.look(time.time()):
+                print(text, flush=True)
+            if runner.problem and runner.problem != said:
+                print(f"no wave is judged: {runner.problem}", file=sys.stderr, flush=True)
+            said = runner.problem
+            if once:
+                break
+            ended.wait(LOOK_S)
+    finally:
+        line.close()
+
+
+def _show(engine: Engine, with_rigs: bool) -> None:
+    with Session(engine) as session:
+        for rollout in session.scalars(select(BundleRollout).order_by(BundleRollout.number)):
+            print(
+                f"rollout {rollout.number}: bundle {rollout.version} is {rollout.state}"
+                f"{f': {rollout.why}' if rollout.why else ''}"
+            )
+            rows = rigs_of(session, rollout)
+            waves = select(RolloutWave).where(RolloutWave.rollout == rollout.number)
+            for wave in session.scalars(waves.order_by(RolloutWave.wave)):
+                count = sum(row.wave == wave.wave for row in rows)
+                print(f"  wave {wave.wave}: {count} rigs, {wave.state}{f': {wave.why}' if wave.why else ''}")
+                for kind, figures in wave.kinds.items():
+                    print(f"    {kind or '-':<16} {_in_words(figures)}")
+            for row in rows if with_rigs else ():
+                print(f"  {row.rig:<24} wave {row.wave} {row.state}{f': {row.why}' if row.why else ''}")
+
+
+def _in_words(figures: dict[str, float | None]) -> str:
+    difference = figures["difference"]
+    if difference is None:
+        return "nothing could be compared"
+    return (
+        f"{difference:+.1%} cost over {figures['blocks']} blocks, "
+        f"evidence of harm {figures['harm']:.3g}, of no harm {figures['safety']:.3g}"
+    )

@@ -1,0 +1,71 @@
+"""A rollout is begun or stopped by a person: rows in the database, which the runner takes up."""
+
+from sqlalchemy import Engine, select
+from sqlalchemy.orm import Session
+
+from edge.core.errors import RequestError
+from fleet.database.bundles import BundleRollout, FleetBundle, RolloutRig, RolloutWave
+from fleet.database.rigs import FleetRig
+from fleet.rollout.states import OPEN, RigState, RolloutState, WaveState
+from fleet.settings import RolloutSettings
+
+
+def begin(engine: Engine, settings: RolloutSettings, sha256: str, group: str, utc: float) -> int:
+    """Begin a rollout of an archive that is in the database, and return its number.
+
+    group : of rigs; "" for the whole fleet
+    Errors : RequestError where another one runs, no rig is there, or rigs could not fetch anything
+    """
+    if not settings.address:
+        raise RequestError("rollout.address is empty: rigs could fetch no bundle")
+    with Session(engine) as session, session.begin():
+        bundle = session.get(FleetBundle, sha256)
+        if bundle is None:
+            raise RequestError(f"there is no bundle of sha256 {sha256}")
+        running = session.scalar(select(BundleRollout).where(BundleRollout.state == RolloutState.RUNNING))
+        if running is not None:
+            raise RequestError(f"rollout {running.number} of bundle {running.version} runs: stop it before")
+        asked = select(FleetRig.name).where(FleetRig.group == group) if group else select(FleetRig.name)
+        if session.scalar(asked.limit(1)) is None:
+            raise RequestError(f"no rig is in {f'group {group}' if group else 'the fleet'}")
+        rollout = BundleRollout(
+            sha256=sha256,
+            version=bundle.version,
+            group=group,
+            state=RolloutState.RUNNING,
+            margin=settings.margin,
+            error=settings.error,
+            wave_h=settings.wave_h,
+            began_utc=utc,
+        )
+        session.add(rollout)
+        session.flush()
+        return rollout.number
+
+
+def stop(session: Session, rollout: BundleRollout, why: str, utc: float) -> None:
+    """End a rollout; every rig that may have its bundle is to roll back."""
+    rollout.state, rollout.ended_utc, rollout.why = RolloutState.STOPPED, utc, why
+    wave = session.get(RolloutWave, (rollout.number, rollout.wave))
+    if wave is not None:
+        wave.state, wave.ended_utc, wave.why = WaveState.STOPPED, utc, why
+    for row in rigs_of(session, rollout):
+        if row.state in OPEN:
+            row.state, row.since_utc, row.sent_utc = RigState.ROLLING_BACK, utc, 0.0
+
+
+def stop_by_person(engine: Engine, number: int, why: str, utc: float) -> None:
+    """Stop a rollout that runs. Errors: RequestError"""
+    with Session(engine) as session, session.begin():
+        rollout = session.get(BundleRollout, number)
+        if rollout is None:
+            raise RequestError(f"there is no rollout {number}")
+        if rollout.state != RolloutState.RUNNING:
+            raise RequestError(f"rollout {number} is {rollout.state} already")
+        stop(session, rollout, why, utc)
+
+
+def rigs_of(session: Session, rollout: BundleRollout) -> list[RolloutRig]:
+    """Return the rigs that a rollout has reached, by name."""
+    asked = select(RolloutRig).where(RolloutRig.rollout == rollout.number).order_by(RolloutRig.rig)
+    return list(session.scalars(asked))

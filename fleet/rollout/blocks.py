@@ -1,0 +1,103 @@
+"""Blocks of a wave: taken from costs once, when their hours are over, and kept before they are judged."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from fleet.database.bundles import RolloutBlock, RolloutRig, RolloutWave
+from fleet.database.rigs import FleetRig
+from fleet.rollout.costs import Costs
+from fleet.rollout.judge import BLOCK_H, DAY_H, HOUR_S, difference, relative_change
+from fleet.rollout.states import RigState
+
+BLOCK_S = BLOCK_H * HOUR_S
+BEFORE_S = 3 * DAY_H * HOUR_S  # a box is compared with itself over so long before a wave
+LATE_S = 1800.0  # ticks that are on their way when a block ends
+COMPARED_MAX = 60  # waiting boxes of a kind: more of them tell little more and take their time to read
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedRig:
+    """A rig, and from when on until the wave it ran what it ran last."""
+
+    name: str
+    before_from: float
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedRigs:
+    """Rigs of a kind: changed by the wave, and those whose bundle stays as it is."""
+
+    changed: Sequence[ComparedRig]
+    waiting: Sequence[ComparedRig]
+
+
+def who_compares(session: Session, wave: RolloutWave) -> dict[str, ComparedRigs]:
+    """Return who is compared with whom, by kind.
+
+    Boxes of earlier waves keep their bundle while a later wave is judged, so they are compared with too; in
+    the last wave there may be no others.
+    """
+    began = wave.began_utc
+    before_from: dict[str, float] = {}
+    changed: list[RolloutRig] = []
+    moved: set[str] = set()
+    for row in session.scalars(select(RolloutRig).order_by(RolloutRig.rig)):
+        if (row.rollout, row.wave) == (wave.rollout, wave.wave):
+            moved.add(row.rig)
+            changed += [row] if row.state == RigState.ACTIVE else []
+        elif row.since_utc >= began:
+            moved.add(row.rig)
+        else:
+            before_from[row.rig] = max(before_from.get(row.rig, 0.0), row.since_utc)
+
+    def rig(name: str) -> ComparedRig:
+        return ComparedRig(name, max(before_from.get(name, 0.0) + HOUR_S, began - BEFORE_S))
+
+    found = {row.kind: ComparedRigs([], []) for row in changed}
+    for kind in found:
+        stays = select(FleetRig.name).where(FleetRig.kind == kind, FleetRig.is_online).order_by(FleetRig.name)
+        waiting = [rig(name) for name in session.scalars(stays) if name not in moved]
+        own = [rig(row.rig) for row in changed if row.kind == kind]
+        found[kind] = ComparedRigs(own, waiting[:COMPARED_MAX])
+    return found
+
+
+def due(wave: RolloutWave, known: Sequence[float], utc: float) -> Iterator[float]:
+    """Yield the begin of each block that is over and is not among those that are known."""
+    assert wave.judged_from_utc is not None
+    begin = wave.judged_from_utc
+    while begin + BLOCK_S + LATE_S <= utc:
+        if begin not in known:
+            yield begin
+        begin += BLOCK_S
+
+
+def take_block(
+    wave: RolloutWave, kind: str, rigs: ComparedRigs, begin_utc: float, costs: Costs
+) -> RolloutBlock:
+    """Return the block of a kind that begins at a time. Errors: DataError where no numbers can be read"""
+
+    def changes(own: Sequence[ComparedRig]) -> list[float]:
+        found = (
+            relative_change(
+                costs(rig.name, begin_utc, begin_utc + BLOCK_S),
+                costs(rig.name, rig.before_from, wave.began_utc),
+                begin_utc,
+            )
+            for rig in own
+        )
+        return [change for change in found if change is not None]
+
+    changed, waiting = changes(rigs.changed), changes(rigs.waiting)
+    return RolloutBlock(
+        rollout=wave.rollout,
+        wave=wave.wave,
+        kind=kind,
+        begin_utc=begin_utc,
+        difference=difference(changed, waiting),
+        changed=len(changed),
+        waiting=len(waiting),
+    )

@@ -1,0 +1,162 @@
+"""The runner over a fleet in memory: passes, stops, rolls back, and goes on after a kill at any look."""
+
+from pathlib import Path
+
+import pytest
+from fleet_in_memory import SETTINGS, SHA256, FleetInMemory
+from sqlalchemy.orm import Session
+
+from edge.core.errors import DataError, RequestError
+from fleet.database.rigs import FleetRig
+from fleet.rollout.begin import begin, stop_by_person
+from fleet.rollout.runner import RolloutRunner
+from fleet.rollout.states import News
+
+
+def test_a_good_bundle_reaches_every_rig_in_three_waves(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    found = fleet.run(hours=300.0, look_h=1.5)
+    assert (found.state, found.wave, found.why) == ("done", 3, "all waves have passed")
+    assert len(fleet.active) == 36
+    for number in (1, 2):
+        wave = fleet.wave(number)
+        assert wave.why == "shown not worse: every kind is within 10%"
+        assert min(row["blocks"] for row in wave.kinds.values()) >= 8
+    installs = [rig for rig, order in fleet.orders if order == "install"]
+    assert len(installs) == len(set(installs)) == 36  # each obeyed at once, none was asked twice
+
+
+def test_a_bundle_that_is_bad_for_one_kind_stops_in_the_first_wave_and_is_rolled_back(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path, dearer={"case": 0.5})
+    found = fleet.run(hours=100.0)
+    assert (found.state, found.wave) == ("stopped", 1)
+    assert "kind case is dearer by" in found.why
+    fleet.look()
+    assert fleet.active == {}
+    back = {rig for rig, order in fleet.orders if order == "roll back"}
+    assert len(back) == 12
+    assert {fleet.rig(rig).state for rig in back} == {"rolled back"}
+
+
+def test_a_refused_proof_stops_at_once_and_names_the_rig(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    fleet.refuses = {f"tent-{number}" for number in range(12)}
+    found = fleet.run(hours=3.0)
+    assert found.state == "stopped"
+    assert "4 of 12 rigs are unhealthy; tent-" in found.why
+    assert "golden vector 3 is off" in found.why
+    assert fleet.active == {}
+
+
+def test_a_rig_that_falls_silent_after_the_install_stops_it(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    fleet.run(hours=1.0)
+    rig = sorted(fleet.active)[0]
+    fleet.told.append(News(rig, "offline"))
+    fleet.silent.add(rig)
+    found = fleet.run(hours=2.0)
+    assert (found.state, found.why) == ("stopped", f"1 of 12 rigs are unhealthy; {rig}: offline")
+    # its order waits, and is sent once more as soon as it is there again
+    assert (fleet.rig(rig).state, list(fleet.active)) == ("rolling back", [rig])
+    fleet.silent.clear()
+    fleet.told.append(News(rig, "online"))
+    fleet.look()
+    assert fleet.active == {}
+    fleet.look()
+    assert fleet.rig(rig).state == "rolled back"
+
+
+def test_a_short_absence_and_a_fault_that_passes_do_not_stop_it(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    fleet.run(hours=1.0)
+    first, second = sorted(fleet.active)[:2]
+    fleet.told += [News(first, "offline"), News(second, "controller.late", "late")]
+    fleet.run(hours=0.2, look_h=0.1)
+    fleet.told += [News(first, "online"), News(second, "controller.late.over", "over")]
+    assert fleet.run(hours=6.0).state == "running"
+
+
+@pytest.mark.parametrize(
+    ("what", "hours"), [("bundle.refused", 0.1), ("bundle.rollback", 0.1), ("fallback.failed", 1.0)]
+)
+def test_a_rig_that_leaves_the_bundle_or_falls_back_for_long_stops_it(
+    tmp_path: Path, what: str, hours: float
+) -> None:
+    fleet = FleetInMemory(tmp_path)
+    fleet.run(hours=1.0)
+    rig = sorted(fleet.active)[0]
+    fleet.told.append(News(rig, what, "why"))
+    found = fleet.run(hours=hours)
+    assert (found.state, found.why) == ("stopped", f"1 of 12 rigs are unhealthy; {rig}: {what}: why")
+
+
+def test_a_rig_that_does_not_answer_is_asked_again_and_stops_it_in_the_end(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    fleet.silent = {f"tent-{number}" for number in range(12)}
+    found = fleet.run(hours=3.0)
+    assert "tent-" in found.why and "has not obeyed within 60 min" in found.why
+    asked = [rig for rig, order in fleet.orders if order == "install" and rig.startswith("tent")]
+    assert len(asked) >= 2 * len(set(asked))
+
+
+def test_a_bundle_that_cannot_be_fetched_is_not_taken_for_a_bad_one(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    fleet.silent = {f"tent-{number}" for number in range(12)}
+    fleet.run(hours=0.5)
+    rig = next(rig for rig, _ in fleet.orders if rig in fleet.silent)
+    text = f"remote-install (sha256 {SHA256}, asked for): http://fleet.example/x.zip: refused"
+    fleet.told.append(News(rig, "bundle.failed", text))
+    fleet.silent.clear()
+    fleet.run(hours=1.0)
+    assert fleet.rig(rig).state == "active"
+
+
+def test_without_numbers_a_wave_waits_and_says_why(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    fleet.run(hours=1.0)
+
+    def broken(rig: str, since_utc: float, until_utc: float) -> list:  # type: ignore[type-arg]
+        raise DataError("numbers.url: away")
+
+    runner = RolloutRunner(fleet.engine, SETTINGS.address, fleet, broken)
+    assert runner.look(fleet.utc + 30 * 3600.0) == []
+    assert runner.problem == "numbers.url: away"
+    assert fleet.state().state == "running"
+
+
+def test_a_wave_whose_time_is_over_goes_on_and_says_so(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path, dearer={kind: 0.1 for kind in ("tent", "case", "cold frame")})
+    fleet.run(hours=80.0, look_h=1.5)
+    assert fleet.wave(1).why.startswith("time is over without evidence of harm: not shown to be within 10%: ")
+
+
+def test_rigs_that_are_away_are_left_out_and_named(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path, count=8, kinds=("tent",))
+    with Session(fleet.engine) as session, session.begin():
+        session.get_one(FleetRig, "tent-3").is_online = False
+    found = fleet.run(hours=400.0, look_h=1.5)
+    assert (found.state, found.why) == ("done", "all waves have passed; away and without it: tent-3")
+
+
+def test_only_one_rollout_runs_and_a_person_may_stop_it(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    fleet.run(hours=2.0)
+    with pytest.raises(RequestError, match=r"rollout 1 of bundle 2\.0 runs"):
+        begin(fleet.engine, SETTINGS, SHA256, "", fleet.utc)
+    stop_by_person(fleet.engine, 1, "the tents smell", fleet.utc)
+    with pytest.raises(RequestError, match="is stopped already"):
+        stop_by_person(fleet.engine, 1, "again", fleet.utc)
+    fleet.look()
+    assert fleet.active == {}
+    assert fleet.state().why == "the tents smell"
+
+
+def test_a_rollout_without_an_address_or_rigs_is_refused(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    stop_by_person(fleet.engine, 1, "", fleet.utc)
+    with pytest.raises(RequestError, match=r"rollout\.address is empty"):
+        begin(fleet.engine, type(SETTINGS)(), SHA256, "", fleet.utc)
+    with pytest.raises(RequestError, match="no rig is in group north"):
+        begin(fleet.engine, SETTINGS, SHA256, "north", fleet.utc)
+    with pytest.raises(RequestError, match="no bundle of sha256 00"):
+        begin(fleet.engine, SETTINGS, "00", "", fleet.utc)
