@@ -33,7 +33,14 @@ LAYERS = (
 )
 RANK = {room: rank for rank, line in enumerate(LAYERS) for room in line}
 # Rooms of fleet/, as above; the files beside them are above all but `commands`.
-FLEET = (("commands",), ("machine",), ("page",), ("ingest", "jobs", "rollout"), ("numbers",), ("database", "priors"))
+FLEET = (
+    ("commands",),
+    ("machine",),
+    ("page",),
+    ("ingest", "jobs", "rollout"),
+    ("numbers",),
+    ("database", "priors"),
+)
 TRAINING = {"data", "models", "export", "evaluate", "rl", "control", "reports", "llm_stand_in"}
 WIRE = {
     "edge/board/board.py",
