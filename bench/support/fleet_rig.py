@@ -27,6 +27,7 @@ class RigWithoutBoard:
         self._loop = ControlLoop()
         self._loop.resend = self._resend
         self.telemetry: Telemetry | None = None
+        self.twin: Path | None = None  # file of the twin that runs
         self._root = Topics.of(self._settings.mqtt).root
 
     def __enter__(self) -> Self:
@@ -40,7 +41,11 @@ class RigWithoutBoard:
     def connect(self) -> None:
         """Begin to talk to the broker."""
         self.telemetry = Telemetry(
-            self._settings, self._loop.ask, self._loop.post, lambda: Outbox(self._path, self._root)
+            self._settings,
+            self._loop.ask,
+            self._loop.post,
+            lambda: Outbox(self._path, self._root),
+            lambda: self.twin,
         )
 
     def disconnect(self) -> None:

@@ -11,6 +11,7 @@ from fleet.ingest.refusal import Refused
 from fleet.ingest.spans import Span
 from fleet.ingest.state import parse_state
 from fleet.ingest.tick import PAYLOAD_MAX, Tick, parse_body, parse_tick
+from fleet.ingest.told import HeardTwin, parse_twin
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,11 +25,15 @@ class Times:
 
 @dataclass(slots=True)
 class Batch:
-    """rigs : what each rig that was heard says of itself; absent : what rigs have said that they have not"""
+    """rigs : what each rig that was heard says of itself; absent : what rigs have said that they have not
+
+    twins : the newest by rig, None of a rig that takes its own back
+    """
 
     times: Times
     rigs: dict[str, dict[str, Any]] = field(default_factory=dict)
     ticks: list[Tick] = field(default_factory=list)
+    twins: dict[str, HeardTwin | None] = field(default_factory=dict)
     absent: list[tuple[str, str, Span]] = field(default_factory=list)
     refused: list[tuple[str, Refused]] = field(default_factory=list)
 
@@ -63,6 +68,10 @@ class Batch:
                 (message.rig, Refused("quantity", f"tick {tick.seq}: unknown: {tick.unknown}"))
             )
 
+    def _twin(self, message: Message, ledger: RigLedger) -> None:
+        _check_size(message)
+        self.twins[message.rig] = parse_twin(message.payload)
+
     def _reply(self, message: Message, ledger: RigLedger) -> None:
         """Take the answer to a resend; answers to others' orders are none of ours."""
         if b'"resend"' not in message.payload:
@@ -87,5 +96,6 @@ _HEARD: dict[str, Callable[[Batch, Message, RigLedger], None]] = {
     "availability": Batch._availability,
     "state": Batch._state,
     "history/tick": Batch._tick,
+    "twin": Batch._twin,
     "reply": Batch._reply,
 }

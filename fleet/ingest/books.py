@@ -10,8 +10,10 @@ from sqlalchemy.orm import Session
 
 from fleet.database.events import Refusal, RigEvent
 from fleet.database.rigs import AbsentSpan, FleetRig, StoredSpan
+from fleet.database.twins import ToldTwin
 from fleet.ingest.ledger import HistoryLedger, changed_spans
 from fleet.ingest.tick import Tick
+from fleet.ingest.told import HeardTwin
 
 Histories = Mapping[str, HistoryLedger]
 Row = dict[str, Any]
@@ -31,6 +33,7 @@ class Entry:
     rigs: dict[str, dict[str, Any]] = field(default_factory=dict)
     spans: Mapping[str, tuple[Histories, Histories]] = field(default_factory=dict)
     ticks: list[Tick] = field(default_factory=list)
+    twins: Mapping[str, HeardTwin | None] = field(default_factory=dict)
     refused: Counter[tuple[str, str]] = field(default_factory=Counter)
     texts: dict[tuple[str, str], str] = field(default_factory=dict)
 
@@ -67,6 +70,7 @@ class Books:
             for table, kind in ((StoredSpan, "stored"), (AbsentSpan, "absent")):
                 _write_spans(session, table, *_changes(entry, kind))
             _write_events(session, entry.ticks)
+            _write_twins(session, entry)
             _write_refusals(session, entry)
 
 
@@ -136,6 +140,15 @@ def _write_events(session: Session, ticks: Iterable[Tick]) -> None:
                     text=event.text,
                 )
             )
+
+
+def _write_twins(session: Session, entry: Entry) -> None:
+    for rig, twin in entry.twins.items():
+        if twin is not None:
+            told = ToldTwin(rig=rig, bundle=twin.bundle, utc=entry.utc, document=twin.document)
+            session.merge(told)
+        elif (known := session.get(ToldTwin, rig)) is not None:
+            session.delete(known)
 
 
 def _write_refusals(session: Session, entry: Entry) -> None:

@@ -23,7 +23,7 @@ from edge.core.errors import ConfigError
 from edge.mqtt.connection import CONNECT_TIMEOUT_S, end, identify
 from fleet.ingest.tick import PAYLOAD_MAX
 
-SUBSCRIBED = ("availability", "state", "history/tick", "reply")  # events come with their tick
+SUBSCRIBED = ("availability", "state", "history/tick", "twin", "reply")  # events come with their tick
 RECONNECT_MIN_S, RECONNECT_MAX_S = 1, 4
 SESSION_S = 30 * 86400  # how long the broker keeps what an ingest that is away has not got
 PACKET_MAX = 16 << 20  # [bytes]; the broker drops larger ones itself

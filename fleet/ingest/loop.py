@@ -166,7 +166,7 @@ class Ingest:
         refused: list[tuple[str, Refused]],
     ) -> Entry:
         spans = {rig: (self._ledgers[rig].histories, plan.histories) for rig, (plan, _) in plans.items()}
-        entry = Entry(batch.times.utc, batch.rigs, spans, fresh)
+        entry = Entry(batch.times.utc, batch.rigs, spans, fresh, batch.twins)
         for rig, error in refused:
             entry.refused[rig, error.reason] += 1
             entry.texts[rig, error.reason] = plain(str(error), 500)

@@ -7,6 +7,7 @@ import pytest
 from history_records import START_UTC, tick
 
 from edge.formats.tick_json import tick_json
+from edge.twin.twin_file import twin_of
 from fleet.ingest.batch import Batch, Times
 from fleet.ingest.inbox import Message
 from fleet.ingest.ledger import HistoryLedger, RigLedger
@@ -111,3 +112,31 @@ def test_our_own_mistake_is_counted_and_stops_nothing(monkeypatch: pytest.Monkey
     monkeypatch.setattr("fleet.ingest.batch.parse_state", lambda payload: 1 / 0)
     batch = hear("state", {"seq": 1})
     assert refusals(batch) == [("fault", "state: ZeroDivisionError('division by zero')")]
+
+
+def told_twin(**effects: Any) -> dict[str, Any]:
+    return {"bundle": "box-2", "twin": {"sample_s": 60.0, "effects": effects}}
+
+
+def test_a_twin_is_kept_as_its_file_has_it_and_taken_back() -> None:
+    heard = hear("twin", told_twin(wall_loss={"UA": {"value": 2.5, "low": 2.0, "high": 3.0}})).twins["rig-1"]
+    assert heard is not None and heard.bundle == "box-2"
+    assert twin_of(heard.document).effects["wall_loss"]["UA"].value == 2.5
+    assert hear("twin", b"").twins == {"rig-1": None}
+
+
+@pytest.mark.parametrize(
+    ("told", "named"),
+    [
+        (told_twin(wall_loss={"UA": "a lot"}), "effects.wall_loss.UA"),
+        (told_twin(no_effect={"UA": 1.0}), "no_effect"),
+        (told_twin(wall_loss={"UA": -1e300}), "UA"),
+        ({"bundle": "../../etc", "twin": {}}, "no bundle's name"),
+        ({"bundle": "box-2", "twin": [1]}, "there is no twin"),
+        (b"no JSON", ""),
+    ],
+)
+def test_a_twin_that_is_none_is_refused(told: Any, named: str) -> None:
+    batch = hear("twin", told)
+    ((_, text),) = refusals(batch)
+    assert named in text and batch.twins == {}

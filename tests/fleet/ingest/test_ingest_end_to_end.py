@@ -14,9 +14,12 @@ from bench.support.fleet_rig import RigWithoutBoard
 from bench.support.ingest_process import IngestProcess
 from bench.support.victoria import Victoria, needs_victoria
 from edge.core.messages import Event, Severity
+from edge.twin.twin_file import TwinFile, twin_of, write_twin_file
+from edge.twin.value import Value
 from fleet.database.base import open_database
 from fleet.database.events import RigEvent
 from fleet.database.rigs import FleetRig
+from fleet.database.twins import ToldTwin
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, NumbersSettings
 
@@ -69,6 +72,24 @@ def test_ticks_states_and_events_are_stored(fleet: Fleet) -> None:
         ("rig-1", 1, 0, "board.link_lost", "alarm")
     ]
     assert fleet.ingest.stop() == 0
+
+
+def test_a_twin_is_kept_while_it_runs(fleet: Fleet) -> None:
+    def told() -> ToldTwin | None:
+        with Session(fleet.engine) as session:
+            return session.get(ToldTwin, "rig-1")
+
+    path = fleet.folder / "box-2" / "twin.yaml"
+    path.parent.mkdir()
+    write_twin_file(TwinFile(effects={"wall_loss": {"UA": Value(2.5)}}, provenance={"runs": 3}), path)
+    with RigWithoutBoard(fleet.folder, "rig-1", fleet.broker.port) as rig:
+        rig.twin = path
+        wait_for(told)
+        kept = told()
+        assert kept is not None and kept.bundle == "box-2" and kept.document["provenance"] == {}
+        assert twin_of(kept.document).effects["wall_loss"]["UA"].value == 2.5
+        rig.twin = None
+        wait_for(lambda: told() is None)
 
 
 def test_an_outbox_of_a_day_comes_in_order_and_whole(fleet: Fleet) -> None:
