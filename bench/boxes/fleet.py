@@ -1,10 +1,9 @@
 """python -m bench.boxes.fleet: a new box learnt from an hour with the prior of its fleet, from six without.
 
 Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
-Every box was commissioned for half a day and tells the fleet its twin. Leave one out: to each in turn, as if
-it were new, the others give a prior; its twin is learnt from the first hour of its step tests alone, from six
-hours of them, and from the first hour with the prior. One more of each design is odd: a lid stands open, a
-heater is weaker; its fleet does not know.
+Every box is commissioned for six hours and tells the fleet its twin. Leave one out: to each in turn, as if it
+were new, the others give a prior, and its twin is learnt from the first hour of its step tests with the prior
+and without. One more of each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
 Judged by the error of a free run over another day, and by the cost of MPC-Twin-P on reference_1. Runs are
 kept in --out, so that a command that was ended goes on.
 """
@@ -41,7 +40,7 @@ from fleet.priors.fleet_prior import BoxSheet, fit_prior
 from training.lab import InProcessBoard, Lab
 from training.sweep import add_arguments, sweep
 
-FLEET_H, LITTLE_H, MUCH_H = 12.0, 1.0, 6.0
+LITTLE_H, MUCH_H = 1.0, 6.0
 DAY_MIN = 1500.0  # after the first hour of it, a day judges
 WARM, COOL = 0.7, 0.25  # references by day and by night, shares as of scaled_reference
 REFERENCE = "reference_1"
@@ -73,7 +72,7 @@ class FleetBox:
         return description(draw_box(self.design))
 
 
-def record_tests(out: Path, box: FleetBox, hours: float) -> None:
+def record_tests(out: Path, box: FleetBox) -> None:
     """Keep the step tests of a box."""
     path = out / f"{box.name}.tests.csv"
     if path.exists():
@@ -83,8 +82,8 @@ def record_tests(out: Path, box: FleetBox, hours: float) -> None:
         body = Box(facts, facts.seed)
         board = InProcessBoard(facts.seed, plant=Plant(body, body.parts()))
         settings = test_settings(rig_settings(Path(temporary), start))
-        run = record(settings, board, start.fan_role != "none", 60.0 * hours, open_port=board.open)
-    if len(run) < 3600.0 * hours / STEP_S:
+        run = record(settings, board, start.fan_role != "none", 60.0 * MUCH_H, open_port=board.open)
+    if len(run) < 3600.0 * MUCH_H / STEP_S:
         raise GreenhouseError(f"{box.name}: the tests were ended after {len(run)} rows")
     write_run(run, path)
 
@@ -118,30 +117,30 @@ def learn_from(run: RecordedRun, start: TwinFile, hours: float) -> Commissioned:
     return learn(cut(run, 0, min(len(run), round(3600.0 * hours / STEP_S))), start, ControlSettings(), quiet)
 
 
-def tell_fleet(out: Path, box: FleetBox) -> None:
-    """Have the twin that a box of the fleet adopts after half a day, none where it was refused."""
-    path = out / f"{box.name}.adopted.yaml"
-    if path.exists() or (out / f"{box.name}.refused").exists():
-        return
-    record_tests(out, box, FLEET_H)
-    try:
-        found = learn_from(read_run(out / f"{box.name}.tests.csv"), box.start, FLEET_H)
-    except GreenhouseError as error:
-        reasons: Sequence[str] = [str(error)]
-    else:
-        reasons = found.refusals
-        if not reasons:
-            write_twin_file(found.twin, path)
-    if reasons:
-        (out / f"{box.name}.refused").write_text("\n".join(reasons))
+@dataclass(frozen=True, slots=True)
+class NewBoxRow:
+    """A new box, by a way to learn; None where nothing was learnt.
+
+    error_k : of a free run over another day, mean; added : effects beside those that it began with
+    """
+
+    box: str
+    odd: str
+    way: str
+    error_k: float | None = None
+    cost: float | None = None
+    mae_k: float | None = None
+    refused: str = ""
+    added: str = ""
 
 
 def sheets_of(out: Path, boxes: Sequence[FleetBox]) -> dict[FleetBox, BoxSheet]:
-    """Return what the boxes that adopted a twin tell."""
+    """Return what the boxes tell whose twins were not refused."""
+    rows = {box: read_json(NewBoxRow, out / f"{box.name}.6-h.json") for box in boxes}
     return {
-        box: BoxSheet(box.name, str(box.design), read_twin_file(path))
-        for box in boxes
-        if (path := out / f"{box.name}.adopted.yaml").exists()
+        box: BoxSheet(box.name, str(box.design), read_twin_file(out / f"{box.name}.6-h.yaml"))
+        for box, row in rows.items()
+        if row.error_k is not None and not row.refused
     }
 
 
@@ -161,46 +160,35 @@ def give_starts(out: Path, fleet: Sequence[FleetBox], new: Sequence[FleetBox]) -
             write_twin_file(prior.start(box.start, str(box.design)), path)
 
 
-@dataclass(frozen=True, slots=True)
-class NewBoxRow:
-    """A new box, by a way to learn; None where nothing was learnt.
-
-    error_k : of a free run over another day, mean; added : effects beside those that it began with
-    """
-
-    box: str
-    odd: str
-    way: str
-    error_k: float | None = None
-    cost: float | None = None
-    mae_k: float | None = None
-    refused: str = ""
-    added: str = ""
-
-
 WAYS = {"1 h": LITTLE_H, "6 h": MUCH_H, "1 h and prior": LITTLE_H}
+ALONE = ("6 h", "1 h")
 
 
-def judge_box(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> list[NewBoxRow]:
-    """Return a row for each way to learn a new box, from files where they are kept."""
-    record_tests(out, box, MUCH_H)  # of a box of the fleet there are more
+def judge_alone(out: Path, box: FleetBox) -> list[NewBoxRow]:
+    """Return a row for each way to learn a box without a fleet, from files where they are kept."""
+    record_tests(out, box)
     record_day(out, box)
-    return [_row(out, fleet, box, way) for way in WAYS]
+    return [_row(out, out, box, box.start, way) for way in ALONE]
 
 
-def _row(out: Path, fleet: Sequence[FleetBox], box: FleetBox, way: str) -> NewBoxRow:
-    has_prior = "prior" in way
-    place = place_of(out, fleet) if has_prior else out
+def judge_in_fleet(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> NewBoxRow:
+    """Return the row of a box that starts with the prior of all others."""
+    place = place_of(out, fleet)
+    (way,) = WAYS.keys() - {*ALONE}
+    return _row(out, place, box, read_twin_file(place / f"{box.name}.start.yaml"), way)
+
+
+def _row(out: Path, place: Path, box: FleetBox, start: TwinFile, way: str) -> NewBoxRow:
     path = place / f"{box.name}.{way.replace(' ', '-')}.json"
     if path.exists():
         return read_json(NewBoxRow, path)
-    start = read_twin_file(place / f"{box.name}.start.yaml") if has_prior else box.start
     run = read_run(out / f"{box.name}.tests.csv")
     try:
         found = learn_from(run, start, WAYS[way])
     except GreenhouseError as error:
         row = NewBoxRow(box.name, box.odd, way, refused=str(error))
     else:
+        write_twin_file(found.twin, path.with_suffix(".yaml"))
         driven = drive(box.facts, box.facts.seed, OF_TWIN, found, REFERENCE)
         day = resample(read_run(out / f"{box.name}.day.csv"), 60.0)
         error_k = float(np.nanmean(np.abs(free_run_errors(found.twin, day))))
@@ -253,15 +241,15 @@ def main(words: Sequence[str] | None = None) -> int:
     print("\n".join(header()), flush=True)
     fleet = [FleetBox(design, number) for design in given.designs for number in range(1, given.built + 1)]
     place_of(given.out, fleet).mkdir(parents=True, exist_ok=True)
-    sweep(partial(tell_fleet, given.out), fleet, given.workers, given.dask)
     odd = [
         FleetBox(design, given.built + 1, ODDITIES[i % len(ODDITIES)])
         for i, design in enumerate(given.designs)
     ]
     new = [*fleet, *odd]
+    alone = sweep(partial(judge_alone, given.out), new, given.workers, given.dask)
     give_starts(given.out, fleet, new)
-    lots = sweep(partial(judge_box, given.out, fleet), new, given.workers, given.dask)
-    print("\n".join(table([row for lot in lots for row in lot])))
+    in_fleet = sweep(partial(judge_in_fleet, given.out, fleet), new, given.workers, given.dask)
+    print("\n".join(table([*in_fleet, *(row for lot in alone for row in lot)])))
     return 0
 
 
