@@ -20,9 +20,9 @@ from bench.foreign.score import SURE, is_alike
 from bench.header import header
 from bench.hidden_effects.wilson import share
 from edge.core.errors import DataError
+from edge.core.sweep import sweep
 from edge.diagnosis.python import Run, Twin, diagnose
 from edge.formats.run_file import cut
-from training.sweep import sweep
 
 Answer = Mapping[str, Any]
 FARTHEST = 10.0

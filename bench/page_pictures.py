@@ -16,7 +16,7 @@ from selenium.webdriver.remote.webdriver import WebDriver
 from bench.support.broker import wait_for
 from bench.support.browser import DESK, PHONE, browser
 from bench.support.daemon_process import ROOT
-from edge.board.virtual_rig import end_process
+from edge.core.processes import end_process
 
 IMAGES = ROOT / "docs" / "images"
 SPEED, MINUTES = 900.0, 300.0

@@ -124,7 +124,7 @@ def test_edge_holds_rooms_alone_and_each_is_in_the_list() -> None:
 def test_training_holds_rooms_alone() -> None:
     loose = {path.name for path in (ROOT / "training").glob("*.py")}
     rooms = {path.parent.name for path in (ROOT / "training").glob("*/__init__.py")}
-    assert loose == {"__init__.py", "__main__.py", "lab.py", "sweep.py"}
+    assert loose == {"__init__.py", "__main__.py", "lab.py"}
     assert rooms == TRAINING
 
 

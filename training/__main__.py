@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from edge.config.settings import LlmSettings
 from edge.core.errors import GreenhouseError
+from edge.core.sweep import add_arguments, sweep
 from training.rl import command as rl
-from training.sweep import add_arguments, sweep
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
     from training.models.study import Regime, TrainingJob

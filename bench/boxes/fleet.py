@@ -31,6 +31,7 @@ from edge.app.commission import Commissioned, learn
 from edge.app.step_test_record import STEP_S, record, test_settings
 from edge.config.settings import ControlSettings, DailyReference, ReferenceSettings
 from edge.core.errors import GreenhouseError
+from edge.core.sweep import add_arguments, sweep
 from edge.formats.reader import read_json
 from edge.formats.run_file import RecordedRun, cut, read_run, resample, write_run
 from edge.storage.runs import export_stretches
@@ -38,7 +39,6 @@ from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from firmware_protocol.virtual_board.plant import Plant
 from fleet.priors.fleet_prior import BoxSheet, fit_prior
 from training.lab import InProcessBoard, Lab
-from training.sweep import add_arguments, sweep
 
 LITTLE_H, MUCH_H = 1.0, 6.0
 DAY_MIN = 1500.0  # after the first hour of it, a day judges

@@ -9,7 +9,7 @@ import yaml
 
 from bench.foreign.cases import FIRST_SEEDS, KINDS, ForeignCase, ForeignLog, make_case, seed_of
 from edge.core.errors import DataError
-from training.sweep import add_arguments, sweep
+from edge.core.sweep import add_arguments, sweep
 
 Task = tuple[Path, str, str, int]
 

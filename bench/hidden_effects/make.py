@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from bench.hidden_effects.case_files import folders, is_made, write_case
 from bench.hidden_effects.cases import FIRST_SEEDS, KINDS, SUITES, case_id, seed_of
-from training import sweep
+from edge.core import sweep
 
 
 class MakeTask(NamedTuple):

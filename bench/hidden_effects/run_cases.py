@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 from bench.hidden_effects.peers import PEERS, diagnose
 from bench.hidden_effects.score import write_document
 from bench.hidden_effects.score_case import add_place, cases_of
+from edge.core import sweep
 from edge.core.errors import DataError, GreenhouseError
 from edge.core.processes import processors
-from training import sweep
 
 OURS = "diagnose"
 SOLVERS = (OURS, *PEERS)

@@ -26,9 +26,9 @@ from bench.hidden_effects.score_case import (
 )
 from bench.hidden_effects.table import markdown, text
 from edge.core.errors import DataError
+from edge.core.sweep import add_arguments, sweep
 from edge.formats.run_file import read_run
 from edge.twin.twin_file import read_twin_file
-from training.sweep import add_arguments, sweep
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -12,8 +12,8 @@ import numpy as np
 import yaml
 
 from bench.support.broker import wait_for
-from edge.board.virtual_rig import die_with_parent
 from edge.core.errors import RequestError
+from edge.core.processes import die_with_parent
 from edge.models.arx import Arx
 from edge.models.arx_file import write_arx
 from edge.sockets.client import request

@@ -9,7 +9,7 @@ import yaml
 
 from bench.support.broker import PATIENCE_S
 from bench.support.daemon_process import ROOT
-from edge.board.virtual_rig import die_with_parent
+from edge.core.processes import die_with_parent
 
 
 class IngestProcess:

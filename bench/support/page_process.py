@@ -16,7 +16,7 @@ from selenium.webdriver.remote.webdriver import WebDriver
 
 from bench.support.broker import free_port, wait_for
 from bench.support.daemon_process import ROOT, configuration
-from edge.board.virtual_rig import die_with_parent
+from edge.core.processes import die_with_parent
 from edge.page.access import DAY_S, Access, Role
 from edge.page.cookie import COOKIE
 

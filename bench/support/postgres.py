@@ -13,7 +13,7 @@ import psycopg
 import pytest
 
 from bench.support.broker import PATIENCE_S, free_port, wait_for
-from edge.board.virtual_rig import die_with_parent
+from edge.core.processes import die_with_parent
 
 BINARIES = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
 needs_postgres = pytest.mark.skipif(not BINARIES, reason="postgresql is not installed")

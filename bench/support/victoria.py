@@ -10,7 +10,7 @@ from typing import Self
 import pytest
 
 from bench.support.broker import PATIENCE_S, free_port, wait_for
-from edge.board.virtual_rig import die_with_parent
+from edge.core.processes import die_with_parent
 
 VICTORIA = shutil.which("victoria-metrics")
 needs_victoria = pytest.mark.skipif(VICTORIA is None, reason="victoria-metrics is not installed")

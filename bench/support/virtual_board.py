@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from edge.board.virtual_rig import die_with_parent
+from edge.core.processes import die_with_parent
 
 READY_S = 20.0  # the C core is compiled first
 

@@ -1,7 +1,5 @@
 """A virtual board as a child process, for `greenhouse demo` and `greenhouse experiment --virtual`."""
 
-import ctypes
-import signal
 import subprocess
 import sys
 import time
@@ -12,9 +10,9 @@ from pathlib import Path
 
 from edge.config.settings import Settings
 from edge.core.errors import GreenhouseError
+from edge.core.processes import die_with_parent, end_process
 
 BOARD = "board"  # name of its port
-_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, linux/prctl.h
 START_PATIENCE_S = 60.0  # real time; a single-board computer that unpacks a package meanwhile imports slowly
 
 
@@ -64,21 +62,6 @@ def virtual_rig(folder: Path, seed: int, options: Sequence[str] = ()) -> Iterato
         yield rig
     finally:
         end_process(process, patience_s=5.0)
-
-
-def end_process(process: "subprocess.Popen[bytes]", patience_s: float) -> None:
-    """Ask it to end, and kill it when it does not."""
-    process.terminate()
-    try:
-        process.wait(timeout=patience_s)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def die_with_parent() -> None:
-    """Also when the daemon is killed and can clean up nothing."""
-    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 
 def _wait_until_ready(process: "subprocess.Popen[bytes]", rig: VirtualRig, log: Path) -> None:

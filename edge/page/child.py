@@ -10,8 +10,8 @@ from pathlib import Path
 
 import yaml
 
-from edge.board.virtual_rig import die_with_parent, end_process
 from edge.config.settings import PageSettings, Settings
+from edge.core.processes import die_with_parent, end_process
 from edge.page.access import DAY_S, Access, Role
 
 HOST = "127.0.0.1"

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from edge.board.virtual_rig import die_with_parent, end_process
 from edge.core.errors import RequestError
+from edge.core.processes import die_with_parent, end_process
 from fleet.machine.engines import Engine
 from fleet.machine.places import LOCAL, FleetMachine, FleetPlaces, is_free
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from edge.board.virtual_rig import die_with_parent
+from edge.core.processes import die_with_parent
 
 AGENT = Path(__file__).with_name("boot_agent.py")
 DEBIAN = Path(__file__).with_name("debian.sh")

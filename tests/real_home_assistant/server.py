@@ -15,7 +15,7 @@ import requests
 import yaml
 
 from bench.support.broker import free_port, wait_for
-from edge.board.virtual_rig import die_with_parent, end_process
+from edge.core.processes import die_with_parent, end_process
 
 START_S = 120.0  # a busy machine imports slowly
 OWNER, TOKEN_ID, KEY = "0" * 32, "1" * 32, "2" * 128

@@ -25,6 +25,7 @@ from edge.core.controller import Controller
 from edge.core.controller_names import LLM
 from edge.core.errors import DataError
 from edge.core.names import HEATER_LEVELS
+from edge.core.sweep import sweep
 from edge.formats.atomic_file import write_atomically
 from edge.formats.profile_file import Profile, read_profile
 from edge.models.arx_file import read_arx
@@ -36,7 +37,6 @@ from training.control.clairvoyant import ReferenceCourse, best_plan, held_plan
 from training.control.closed_loop import ClosedLoopLog, closed_loop, log_of
 from training.control.draw_references import FOLDER
 from training.control.rig import NO_LLM, TWIN, ComparisonEntry, install_twin, settings_for
-from training.sweep import sweep
 
 SECTIONS = ("control", "estimator", "sensor_health", "safety")  # that a run depends on
 FIRST_TICK_S = 1.0  # when the board has greeted and sent its first report

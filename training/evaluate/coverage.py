@@ -22,6 +22,7 @@ from edge.core.errors import DataError
 from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.core.predictor import Predictor
+from edge.core.sweep import add_arguments, sweep
 from edge.forecasts.conformal import CLAIMED, Interval, Intervals, half_width, track, write_intervals
 from edge.forecasts.scorer import PERSISTENCE, Scorer
 from edge.formats.run_file import RecordedRun
@@ -31,7 +32,6 @@ from edge.models.onnx_predictor import read_ham, read_lstm
 from edge.models.pbm import Pbm, read_twin
 from edge.tick.estimator import Estimator
 from training.evaluate import fresh_runs
-from training.sweep import add_arguments, sweep
 
 Floats = NDArray[np.float64]
 Load = Callable[[], Mapping[str, Predictor]]

@@ -12,13 +12,13 @@ from typing import Literal
 
 import numpy as np
 
+from edge.core.sweep import sweep
 from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.tick.sensor_health import AVERAGE_S, trimmed_mean
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
 from firmware_protocol.virtual_board.profiles.generate import PLANS, SequencePlan, draw
 from firmware_protocol.virtual_board.profiles.record import SAMPLE_S, WINDOW_S, RecordedRow, drive
-from training.sweep import sweep
 
 Kind = Literal["calibration", "interpolation", "extrapolation"]
 COUNTS: dict[Kind, int] = {"calibration": 100, "interpolation": 100, "extrapolation": 30}

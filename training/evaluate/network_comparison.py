@@ -18,6 +18,7 @@ import numpy as np
 
 from edge.core.errors import DataError
 from edge.core.predictor import Columns, Floats
+from edge.core.sweep import sweep
 from edge.formats.run_file import data_sha256, inside_names
 from edge.formats.table import Table
 from edge.models.onnx_predictor import OnnxPredictor, open_session
@@ -36,7 +37,6 @@ from training.models.tuned_settings import ANY_ROOM_C, BOX_DATA, best_trial, rea
 from training.models.weights import load_network
 from training.models.window_network import WINDOW, train_on
 from training.reports.report_tables import spread
-from training.sweep import sweep
 
 COMMAND = "greenhouse-train networks"
 FILE = "networks.json"

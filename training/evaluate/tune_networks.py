@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from edge.core.errors import DataError
+from edge.core.sweep import sweep
 from edge.formats.run_file import RecordedRun, data_sha256
 from edge.formats.table import Table
 from training.data.datasets import Split, training_runs
@@ -33,7 +34,6 @@ from training.models.tuned_settings import (
     trial_settings,
 )
 from training.models.window_network import WindowSettings, train_on
-from training.sweep import sweep
 
 COMMAND = "greenhouse-train tune-networks"
 DATA = (*SCENARIOS, BOX_DATA)

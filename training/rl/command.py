@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edge.core.errors import DataError
-from training.sweep import add_arguments, sweep
+from edge.core.sweep import add_arguments, sweep
 
 if TYPE_CHECKING:  # importing torch takes a second, `--help` need not wait
     from training.rl.study import PolicyJob

@@ -15,11 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.board.virtual_rig import die_with_parent, end_process, settings_in
+from edge.board.virtual_rig import settings_in
 from edge.config import loading as config
 from edge.config.settings import ExternalSettings
 from edge.core.controller_names import EXTERNAL
 from edge.core.errors import GreenhouseError
+from edge.core.processes import die_with_parent, end_process
 from edge.lab.episodes import EpisodeSettings, draw_reference
 from edge.tick.reference import Reference
 from training.lab import Lab

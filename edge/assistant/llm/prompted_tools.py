@@ -34,13 +34,13 @@ def _with_calls(chat: Chat) -> Schema | None:
     """Return the schema of a call of a tool, of the answer, or of either, as it is asked for."""
     if chat.schema is None:
         return None
-    answer = _bounded(chat.schema.schema)
+    answer = _with_ends(chat.schema.schema)
     if chat.turn is Turn.ANSWER:
         return Schema(chat.schema.name, answer)
     calls = [
         {
             "type": "object",
-            "properties": {TOOL: {"const": tool.name}, ARGUMENTS: _bounded(tool.parameters)},
+            "properties": {TOOL: {"const": tool.name}, ARGUMENTS: _with_ends(tool.parameters)},
             "required": [TOOL, ARGUMENTS],
             "additionalProperties": False,
         }
@@ -50,7 +50,7 @@ def _with_calls(chat: Chat) -> Schema | None:
     return Schema(chat.schema.name, forms[0] if len(forms) == 1 else {"anyOf": forms})
 
 
-def _bounded(schema: Mapping[str, Any]) -> dict[str, Any]:
+def _with_ends(schema: Mapping[str, Any]) -> dict[str, Any]:
     """Return the schema of an object whose texts end."""
     properties = {
         name: {"maxLength": TEXT_MAX, **own} if own.get("type") == "string" else own

@@ -17,7 +17,7 @@ from bench.support.broker import wait_for
 from bench.support.daemon_process import ROOT, DaemonProcess, run_command
 from bench.support.virtual_board import VirtualBoard
 from edge.app.outlet import WAITING_MAX, Outlet, standard_output
-from edge.board.virtual_rig import die_with_parent
+from edge.core.processes import die_with_parent
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

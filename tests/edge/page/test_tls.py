@@ -20,7 +20,7 @@ from bench.default_daemon import memory_of
 from bench.support.broker import free_port, wait_for
 from bench.support.daemon_process import ROOT
 from bench.support.page_process import Client, PageProcess, cookie_of, listens, page_of
-from edge.board.virtual_rig import end_process
+from edge.core.processes import end_process
 from edge.page.access import Role
 from edge.page.protocol import CONNECTIONS_MAX, OTHER_FILES
 

@@ -1,4 +1,4 @@
-"""What messages mean: states, availability, answers, and what is not believed."""
+"""Messages and their meaning: states, availability, answers, and what is not believed."""
 
 import json
 from typing import Any

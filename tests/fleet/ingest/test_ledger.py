@@ -1,4 +1,4 @@
-"""What is taken into a history of a rig, and what is asked for."""
+"""A history of a rig: the ticks that are taken into it, and those that are asked for."""
 
 import pytest
 

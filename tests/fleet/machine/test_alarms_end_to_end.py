@@ -14,8 +14,8 @@ from fleet_pages import TOKEN, FleetPageOfTest, fleet_page
 
 from bench.support.broker import free_port, wait_for
 from bench.support.page_process import Client, listens
-from edge.board.virtual_rig import die_with_parent, end_process
 from edge.core.errors import RequestError
+from edge.core.processes import die_with_parent, end_process
 from fleet.machine.alarm_rules import EVERY, alarm_rules
 from fleet.machine.engines import Engine, engines
 from fleet.machine.places import FleetMachine, Ports, places_of

@@ -15,9 +15,9 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from bench.support.broker import PATIENCE_S, Listener, needs_mosquitto, wait_for
 from bench.support.page_process import listens
-from edge.board.virtual_rig import die_with_parent, end_process
 from edge.config import loading
 from edge.core.errors import RequestError
+from edge.core.processes import die_with_parent, end_process
 from fleet.machine.engines import engines
 from fleet.machine.places import FleetMachine, FleetPlaces, places_of
 from fleet.machine.rig_papers import HOME

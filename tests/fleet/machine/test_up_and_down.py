@@ -9,8 +9,8 @@ import pytest
 from bench.support.broker import wait_for
 from bench.support.daemon_process import ROOT
 from bench.support.page_process import Client, listens
-from edge.board.virtual_rig import die_with_parent
 from edge.core.errors import RequestError
+from edge.core.processes import die_with_parent
 from edge.page.access import Role
 from fleet.database.base import open_database
 from fleet.machine.engines import PACKAGES, engines

@@ -1,8 +1,8 @@
 """The one executor behind every sweep: the same function over many jobs, on this machine or on a cluster.
 
-Local jobs run in spawned processes. With the address of a dask scheduler (`--dask tcp://host:8786`, extra
-`cluster`) they run on its workers, which need this software, the same folders, and one thread each. The
-results are the same: BLAS takes one thread in both, and a job knows nothing of the others.
+Local jobs run in spawned processes. With the address of a dask scheduler (`--dask tcp://host:8786`) they run
+on its workers, which need this software, the same folders, and one thread each. The results are the same:
+BLAS takes one thread in both, and a job knows nothing of the others.
 """
 
 import argparse
@@ -15,8 +15,8 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
-from edge.board.virtual_rig import die_with_parent
 from edge.core.errors import GreenhouseError
+from edge.core.processes import die_with_parent
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -105,7 +105,7 @@ def _on_cluster(
     try:
         from distributed import Client, as_completed
     except ImportError as error:
-        raise GreenhouseError("--dask: not installed: pip install './training[cluster]'") from error
+        raise GreenhouseError("--dask: not installed: pip install distributed") from error
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except OSError as error:

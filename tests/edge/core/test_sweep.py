@@ -1,4 +1,4 @@
-"""training/sweep.py: jobs on processes and on a cluster give what they give one after the other."""
+"""edge/core/sweep.py: jobs on processes and on a cluster give what they give one after the other."""
 
 import os
 import signal
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from training import sweep as executor
+from edge.core import sweep as executor
+from edge.core.sweep import SweepError, sweep
 from training.evaluate.fresh_runs import keep
-from training.sweep import SweepError, sweep
 
 
 def told(job):
