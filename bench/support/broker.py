@@ -33,7 +33,7 @@ def wait_for(condition: Any, what: str = "", patience_s: float = PATIENCE_S) -> 
 class Broker:
     """`with Broker(tmp_path, "allow_anonymous true") as broker:`; `extra` is lines of mosquitto.conf."""
 
-    def __init__(self, folder: Path, extra: str = "allow_anonymous true") -> None:
+    def __init__(self, folder: Path, extra: str = "allow_anonymous true", is_verbose: bool = True) -> None:
         self.port = free_port()
         self._folder = folder
         self._config = folder / "mosquitto.conf"
@@ -41,7 +41,8 @@ class Broker:
         self._config.write_text(
             f"user root\npersistence_location {folder}/\nlistener {self.port} 127.0.0.1\n{extra}\n"
         )
-        self._process: subprocess.Popen[bytes] | None = None
+        self._verbose = ["-v"] if is_verbose else []  # a line for each message
+        self.process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
         self.start()
@@ -54,24 +55,24 @@ class Broker:
         """Start, and wait until it listens."""
         assert MOSQUITTO is not None
         with (self._folder / "mosquitto.log").open("ab") as log:
-            self._process = subprocess.Popen(
-                [MOSQUITTO, "-c", str(self._config), "-v"], stdout=log, stderr=log
+            self.process = subprocess.Popen(
+                [MOSQUITTO, "-c", str(self._config), *self._verbose], stdout=log, stderr=log
             )
         wait_for(self._listens, f"mosquitto listens, see {self._folder}/mosquitto.log")
 
     def stop(self) -> None:
         """End in good order."""
-        if self._process is not None:
-            self._process.terminate()
-            self._process.wait(PATIENCE_S)
-            self._process = None
+        if self.process is not None:
+            self.process.terminate()
+            self.process.wait(PATIENCE_S)
+            self.process = None
 
     def kill(self) -> None:
         """kill -9: whatever it held in memory is gone."""
-        assert self._process is not None
-        self._process.kill()
-        self._process.wait(PATIENCE_S)
-        self._process = None
+        assert self.process is not None
+        self.process.kill()
+        self.process.wait(PATIENCE_S)
+        self.process = None
 
     @property
     def log(self) -> str:

@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import urllib.error
 import urllib.request
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -23,7 +24,8 @@ OPTIONS = (
 class Victoria:
     """`with Victoria(tmp_path) as victoria:`; it keeps its data over a kill and a new start."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, options: Sequence[str] = OPTIONS) -> None:
+        self._options = options
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self._folder = folder
@@ -43,7 +45,7 @@ class Victoria:
         data, listen = f"-storageDataPath={self._folder}/numbers", f"-httpListenAddr=127.0.0.1:{self.port}"
         with (self._folder / "victoria.log").open("ab") as log:
             self.process = subprocess.Popen(
-                [VICTORIA, data, listen, *OPTIONS], stdout=log, stderr=log, preexec_fn=die_with_parent
+                [VICTORIA, data, listen, *self._options], stdout=log, stderr=log, preexec_fn=die_with_parent
             )
         wait_for(self._answers, f"VictoriaMetrics answers, see {self._folder}/victoria.log")
 

@@ -29,7 +29,8 @@ SESSION_S = 30 * 86400  # how long the broker keeps what an ingest that is away 
 PACKET_MAX = 16 << 20  # [bytes]; the broker drops larger ones itself
 WINDOWS_MAX = 2  # of messages that wait here before no more are read
 WAITING_MAX = 64 << 20  # [bytes] of their payloads, likewise
-QUIET_S = 0.5  # no message for so long: a broker whose own window is small waits for acknowledgements
+QUIET_S = 0.5  # no message for so long while SMALL_WINDOW wait: the broker waits for acknowledgements
+SMALL_WINDOW = 20  # messages; mosquitto's own, unless its max_inflight_messages says otherwise
 NEWEST_MAX = 1_000_000  # topics of which the newest message waits
 POLL_S = 0.05
 
@@ -125,9 +126,9 @@ class FleetInbox:
         return self._is_closing or not is_full
 
     def _is_ready(self) -> bool:
-        if not self._queue:
-            return False
-        return len(self._queue) >= self._window // 2 or time.monotonic() - self._heard_s >= QUIET_S
+        waiting = len(self._queue)
+        is_quiet = waiting >= SMALL_WINDOW and time.monotonic() - self._heard_s >= QUIET_S
+        return is_quiet or waiting >= self._window // 2
 
     def _make_client(self) -> Client:
         client = Client(

@@ -17,6 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from edge.app.systemd import Notifier
 from edge.config.settings import NAME
+from edge.core.errors import ConfigError
 from edge.core.event_log import Allowance
 from edge.core.plain_text import plain
 from fleet.ingest.batch import Batch, Times
@@ -25,6 +26,7 @@ from fleet.ingest.inbox import FleetInbox, Message
 from fleet.ingest.ledger import RigLedger, RigPlan
 from fleet.ingest.refusal import Refused
 from fleet.ingest.tick import Tick
+from fleet.numbers.options import problem
 from fleet.numbers.series import lines
 from fleet.numbers.victoria import Numbers, NumbersError
 from fleet.settings import FleetSettings
@@ -57,6 +59,8 @@ class Ingest:
     def run(self, ended: threading.Event) -> None:
         """Run until `ended`. Errors: ConfigError; whatever does not answer is tried again"""
         own = self._settings.ingest
+        if not self._wait_for_numbers(ended):
+            return
         self._inbox.start()
         self._notifier.ready("hears rigs", own.batch_s)
         try:
@@ -71,6 +75,22 @@ class Ingest:
         finally:
             self._inbox.close()
             self._notifier.close()
+
+    def _wait_for_numbers(self, ended: threading.Event) -> bool:
+        """Return once VictoriaMetrics answers: before, nothing that is heard could be stored."""
+        while not ended.is_set():
+            try:
+                self._check_options()
+                return True
+            except NumbersError as error:
+                _say(f"{error}; again in {RETRY_MAX_S:g} s")
+                ended.wait(RETRY_MAX_S)
+        return False
+
+    def _check_options(self) -> None:
+        wrong = problem(self._numbers.options(), self._settings.numbers.retention_days)
+        if wrong:
+            raise ConfigError(f"numbers.url: {self._settings.numbers.url}: {wrong}")
 
     # storing
 
@@ -101,8 +121,8 @@ class Ingest:
         for message in messages:
             ledger = self._ledger(message.rig)
             if ledger is None:
-                problem = f"{plain(message.rig, 80)!r} is not a rig's name, or there are too many"
-                batch.refused.append(("", Refused("rig", problem)))
+                why = f"{plain(message.rig, 80)!r} is not a rig's name, or there are too many"
+                batch.refused.append(("", Refused("rig", why)))
             else:
                 batch.hear(message, ledger)
         return batch
@@ -151,9 +171,9 @@ class Ingest:
                     fresh.append(tick)
             except Refused as error:
                 refused.append((tick.rig, error))
-        for rig, problem in batch.refused:
-            if problem.seq:
-                plan_of(rig)[0].give_up(problem.history_id, (problem.seq, problem.seq))
+        for rig, lie in batch.refused:
+            if lie.seq:
+                plan_of(rig)[0].give_up(lie.history_id, (lie.seq, lie.seq))
         for rig, history_id, span in batch.absent:
             plan_of(rig)[0].give_up(history_id, span)
         return plans, refused
@@ -199,11 +219,15 @@ class Ingest:
             file.write(json.dumps(line) + "\n")
 
     def _check(self) -> None:
-        """Tell when VictoriaMetrics has dropped samples: it says so in its counters alone."""
+        """Tell when VictoriaMetrics has dropped samples: it says so in its counters alone.
+
+        Errors : ConfigError where it was started anew with options that lose ticks
+        """
         if time.monotonic() < self._check_at_s:
             return
         self._check_at_s = time.monotonic() + CHECK_S
         try:
+            self._check_options()
             dropped = self._numbers.dropped_rows()
         except NumbersError:
             return  # the next batch meets it too, and tells it

@@ -90,6 +90,13 @@ class Numbers:
         rows = (line.rpartition(" ") for line in text.splitlines() if line.startswith(DROPPED))
         return {name: float(value) for name, _, value in rows if float(value) > 0}
 
+    def options(self) -> Mapping[str, str]:
+        """Return what the server was started with, by option."""
+        with self._connection() as connection:
+            text = self._call(connection, "GET", "/flags").decode(errors="replace")
+        rows = (line.removeprefix("-").partition("=") for line in text.splitlines())
+        return {name: value.strip('"') for name, _, value in rows}
+
     @contextmanager
     def _connection(self) -> Iterator[HTTPConnection]:
         connection = self._kind(self._host, self._port, timeout=TIMEOUT_S)

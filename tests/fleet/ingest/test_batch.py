@@ -1,4 +1,4 @@
-"""Messages and their meaning: states, availability, answers, and what is not believed."""
+"""Meanings of messages: states, availability, answers, and what is not believed."""
 
 import json
 from typing import Any

@@ -9,7 +9,7 @@ from fleet_store import BROKER, numbers_of, wait_until_all_is_stored
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
-from bench.support.broker import Broker, needs_mosquitto, wait_for
+from bench.support.broker import PATIENCE_S, Broker, free_port, needs_mosquitto, wait_for
 from bench.support.fleet_rig import RigWithoutBoard
 from bench.support.ingest_process import IngestProcess
 from bench.support.victoria import Victoria, needs_victoria
@@ -103,3 +103,14 @@ def test_an_outbox_of_a_day_comes_in_order_and_whole(fleet: Fleet) -> None:
         rig.connect()
         wait_until_all_is_stored([rig], fleet.numbers, fleet.engine, say=fleet.ingest.log)
     assert "refused" not in fleet.ingest.log
+
+
+def test_a_store_that_would_keep_a_tick_twice_is_refused(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path}/fleet.db"
+    with (
+        Victoria(tmp_path, ("-retentionPeriod=10y",)) as victoria,
+        IngestProcess(tmp_path, {"port": free_port()}, victoria.url, url) as ingest,
+    ):
+        assert ingest.process is not None
+        assert ingest.process.wait(PATIENCE_S) == 2
+        assert "must be 1ms, or a tick that comes twice is in store twice" in ingest.log

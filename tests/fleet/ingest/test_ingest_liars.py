@@ -1,4 +1,4 @@
-"""A rig that lies: what it sends is counted and refused, and every other rig is served."""
+"""A rig that lies: its messages are counted and refused, and every other rig is served."""
 
 import json
 import time

@@ -1,4 +1,4 @@
-"""A history of a rig: the ticks that are taken into it, and those that are asked for."""
+"""Ledgers: the ticks that are taken into a history, and those that are asked for."""
 
 import pytest
 
