@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import psutil
 from sqlalchemy import Engine, func, select
 from sqlalchemy.orm import Session
 
+from bench.default_daemon import memory_of
 from bench.header import header
 from bench.outbox import real_ticks
 from bench.support.broker import Broker, wait_for
@@ -45,6 +45,7 @@ SHARES = (0.25, 0.5, 1.0)
 SETTLE_SHARE = 1 / 3  # of a part of the time, in which rigs connect
 SAMPLE_S = 5.0
 GOAL_RIGS = 100_000
+MB = 1 << 20  # [bytes]
 STORED_S = 300.0  # patience for the last ticks
 BROKER = (
     "allow_anonymous true\npersistence true\nmax_queued_messages 0\nmax_inflight_messages 0\n"
@@ -62,7 +63,7 @@ LAGS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class EngineSample:
     """CPU time and memory of the engines at a moment. cpu_s, memory_mb : by engine"""
 
     utc: float
@@ -80,11 +81,11 @@ class LoadPart:
 
 
 @dataclass(slots=True)
-class Measured:
+class FleetLoad:
     """All of a run. lags_s : by engine, (utc, seconds)"""
 
     parts: list[LoadPart] = field(default_factory=list)
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[EngineSample] = field(default_factory=list)
     lags_s: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     ticks_sent: int = 0
     ticks_stored: int = 0
@@ -169,9 +170,9 @@ def real_daemons(folder: Path, count: int, port: int) -> Iterator[None]:
         yield
 
 
-def measure(folder: Path, rigs: int, minutes: float, daemons: int) -> Measured:
+def measure(folder: Path, rigs: int, minutes: float, daemons: int) -> FleetLoad:
     """Run the load; what was not stored in the end is a difference of two counts."""
-    measured = Measured()
+    measured = FleetLoad()
     with ExitStack() as stack:
         broker = stack.enter_context(Broker(folder, BROKER, is_verbose=False))
         victoria = stack.enter_context(Victoria(folder))
@@ -184,7 +185,7 @@ def measure(folder: Path, rigs: int, minutes: float, daemons: int) -> Measured:
             )
         )
         stack.enter_context(real_daemons(folder, daemons, broker.port))
-        field_ = stack.enter_context(simulated(folder, broker.port))
+        field_ = stack.enter_context(rig_field(folder, broker.port))
         running = (broker.process, victoria.process, ingest.process, postgres.process)
         pids = {name: one.pid for name, one in zip(ENGINES, running, strict=True) if one is not None}
         for share in SHARES:
@@ -214,7 +215,7 @@ def stored_ticks(database: Engine, sent: int, daemons: int) -> int:
 
 
 def _load(
-    measured: Measured,
+    measured: FleetLoad,
     field_: "subprocess.Popen[str]",
     pids: Mapping[str, int],
     rigs: int,
@@ -234,20 +235,29 @@ def _load(
     measured.parts.append(LoadPart(rigs + daemons, begin, measured.samples[-1].utc))
 
 
-def sample(pids: Mapping[str, int]) -> Sample:
+def sample(pids: Mapping[str, int]) -> EngineSample:
     """Look at the engines, their children included."""
     cpu_s, memory_mb = {}, {}
     for name, pid in pids.items():
-        own = psutil.Process(pid)
-        tree = [own, *own.children(recursive=True)]
-        ended = own.cpu_times().children_user + own.cpu_times().children_system
-        cpu_s[name] = ended + sum(one.cpu_times().user + one.cpu_times().system for one in tree)
-        memory_mb[name] = sum(one.memory_full_info().pss for one in tree) / 1e6
-    return Sample(time.time(), cpu_s, memory_mb)
+        tree = [pid, *children(pid)]
+        cpu_s[name] = sum(cpu_time_s(one) for one in tree)
+        memory_mb[name] = sum(memory_of(str(one)).pss for one in tree)
+    return EngineSample(time.time(), cpu_s, memory_mb)
+
+
+def children(pid: int) -> list[int]:
+    """Return a process's own children; those of PostgreSQL have none."""
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def cpu_time_s(pid: int) -> float:
+    """Return user and system time of a process, and of its children that have ended."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager
-def simulated(folder: Path, port: int) -> Iterator["subprocess.Popen[str]"]:
+def rig_field(folder: Path, port: int) -> Iterator["subprocess.Popen[str]"]:
     """Start the simulated rigs; none ticks yet."""
     known = folder / "templates.json"
     known.write_text(json.dumps(templates(real_ticks())), encoding="utf-8")
@@ -281,7 +291,7 @@ def lags(journal: Path, acknowledged: Path) -> dict[str, list[tuple[float, float
     return found
 
 
-def load_table(measured: Measured) -> Iterator[str]:
+def load_table(measured: FleetLoad) -> Iterator[str]:
     """Lines of the first table."""
     yield "| rigs | engine | cores | memory, MB | lag p50, s | lag p99, s |"
     yield "|---|---|---|---|---|---|"
@@ -294,10 +304,10 @@ def load_table(measured: Measured) -> Iterator[str]:
     yield from (f"lag of {name}: {text}" for name, text in LAGS.items())
 
 
-def goal_table(measured: Measured) -> Iterator[str]:
+def goal_table(measured: FleetLoad) -> Iterator[str]:
     """Lines of the second table, and what breaks first."""
     rigs = [float(part.rigs) for part in measured.parts]
-    memory_max_mb = psutil.virtual_memory().total / 1e6
+    memory_max_mb = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / MB
     at_goal = f"at {GOAL_RIGS} rigs"
     yield (
         f"| engine | CPU of a rig, ms/min | memory of a rig, kB | {at_goal}: cores | {at_goal}: memory, GB |"

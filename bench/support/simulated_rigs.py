@@ -115,7 +115,7 @@ class RigField:
         """Run until `end` is read."""
         while True:
             for key, _ in self._selector.select(0.02):
-                if key.fileobj is sys.stdin:
+                if key.data is None:
                     words = sys.stdin.readline().split()
                     if words[:1] != ["active"]:
                         print(json.dumps({rig.name: rig.sent for rig in self._rigs}), flush=True)
@@ -131,7 +131,9 @@ class RigField:
             rig = SimulatedRig(index, self._port, self._templates, self._step_s, self._lags)
             self._rigs.append(rig)
             for client in rig.clients:
-                self._selector.register(client.socket(), selectors.EVENT_READ, client)
+                connection = client.socket()
+                assert connection is not None  # it is up: `connect` has returned
+                self._selector.register(connection, selectors.EVENT_READ, client)
 
     def _turn(self) -> None:
         now, is_due = time.time(), time.monotonic() >= self._misc_s

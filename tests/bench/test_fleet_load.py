@@ -9,7 +9,17 @@ from pathlib import Path
 import pytest
 from history_records import eventful_tick, tick
 
-from bench.fleet_load import ENGINES, Growth, LoadPart, Measured, Sample, goal_table, growth, lags, templates
+from bench.fleet_load import (
+    ENGINES,
+    EngineSample,
+    FleetLoad,
+    Growth,
+    LoadPart,
+    goal_table,
+    growth,
+    lags,
+    templates,
+)
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.daemon_process import ROOT
 from fleet.ingest.state import parse_state
@@ -24,14 +34,14 @@ def test_a_cost_is_a_line_over_the_rigs() -> None:
     assert Growth(1.0, -0.1).rigs_at(2.0) == float("inf")
 
 
-def measured_line(cores_per_rig: dict[str, float]) -> Measured:
+def measured_line(cores_per_rig: dict[str, float]) -> FleetLoad:
     """A run in which each engine's cores and memory are exact lines."""
-    own = Measured(lags_s={name: [] for name in ENGINES})
+    own = FleetLoad(lags_s={name: [] for name in ENGINES})
     utc, cpu = 0.0, dict.fromkeys(ENGINES, 0.0)
     for rigs in (100, 200, 400):
         begin = utc
         for _ in range(10):
-            own.samples.append(Sample(utc, dict(cpu), dict.fromkeys(ENGINES, 10.0 + rigs / 1000)))
+            own.samples.append(EngineSample(utc, dict(cpu), dict.fromkeys(ENGINES, 10.0 + rigs / 1000)))
             utc += 5.0
             cpu = {name: cpu[name] + 5.0 * rigs * cores_per_rig[name] for name in ENGINES}
         own.parts.append(LoadPart(rigs, begin, utc - 5.0))

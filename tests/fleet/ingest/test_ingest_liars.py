@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 from fleet_store import BROKER, wait_until_all_is_stored
 from history_records import tick
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
+from bench.default_daemon import memory_of
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.fleet_rig import RigWithoutBoard
 from bench.support.ingest_process import IngestProcess
@@ -26,7 +26,7 @@ from fleet.settings import DatabaseSettings, NumbersSettings
 
 pytestmark = [needs_mosquitto, needs_victoria, pytest.mark.slow]
 LIAR = "greenhouse/liar/history/tick"
-MEMORY_MAX = 150 << 20  # [bytes] beyond the process without lies
+MEMORY_MAX_MB = 150.0  # beyond the process without lies
 RIGS_MAX = 3
 
 
@@ -82,8 +82,7 @@ def test_lies_are_counted_and_harm_nobody_else(tmp_path: Path, database: Engine)
         honest.tick()
         wait_until_all_is_stored([honest], numbers, database, say=ingest.log)
         assert ingest.process is not None
-        process = psutil.Process(ingest.process.pid)
-        before = process.memory_info().rss
+        before = memory_of(str(ingest.process.pid)).rss
         expected = lie(liar)
         honest.tick()
         for number in range(50):
@@ -100,5 +99,5 @@ def test_lies_are_counted_and_harm_nobody_else(tmp_path: Path, database: Engine)
         assert not any(rig == "rig-1" for rig, _ in counts(database))
         series = {own.labels["__name__"] for own in numbers.series('{rig="liar"}', 0.0, time.time() + 60.0)}
         assert not any("series" in name for name in series)
-        assert process.memory_info().rss - before < MEMORY_MAX
+        assert memory_of(str(ingest.process.pid)).rss - before < MEMORY_MAX_MB
         assert ingest.log.count("refused, ") <= 15  # of about 180
