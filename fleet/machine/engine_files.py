@@ -35,7 +35,7 @@ autosave_interval 60
 persistent_client_expiration 30d
 max_queued_messages 1000000
 max_inflight_messages 200
-message_size_limit {MESSAGE_MAX}
+max_packet_size {MESSAGE_MAX}
 log_dest stderr
 """
 

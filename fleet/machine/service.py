@@ -26,7 +26,8 @@ def check_root() -> None:
 
 def check_program(python: Path) -> None:
     """Refuse a Python that the services' user cannot reach. Errors: RequestError"""
-    for place in (python.absolute(), *python.absolute().parents):
+    ways = (python.absolute(), python.resolve())  # a virtual environment's is a link
+    for place in (place for way in ways for place in (way, *way.parents)):
         if not place.stat().st_mode & stat.S_IXOTH or place in (Path("/root"), Path("/home")):
             raise RequestError(f"{python}: services cannot reach it; install into /opt/greenhouse/venv")
 

@@ -10,10 +10,11 @@ import stat
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from unit_calls import call_groups, resolved
 
 from bench.support.broker import wait_for
 from bench.support.daemon_process import ROOT, DaemonProcess, run_command
@@ -257,31 +258,6 @@ def allowed_calls() -> set[str]:
         names = resolved(line.removeprefix("~").split(), groups)
         allowed = allowed - names if line.startswith("~") else allowed | names
     return allowed | resolved(["@default"], groups)
-
-
-def call_groups() -> dict[str, list[str]]:
-    out = subprocess.run(
-        ["systemd-analyze", "syscall-filter"], capture_output=True, text=True, check=True
-    ).stdout
-    groups: dict[str, list[str]] = {}
-    name = ""
-    for line in out.splitlines():
-        word = line.strip()
-        if line.startswith("@"):
-            name = word
-            groups[name] = []
-        elif line.startswith(" ") and name and not word.startswith("#"):
-            groups[name].append(word)
-        elif not word:
-            name = ""
-    return groups
-
-
-def resolved(names: Sequence[str], groups: Mapping[str, list[str]]) -> set[str]:
-    found: set[str] = set()
-    for name in names:
-        found |= resolved(groups[name], groups) if name.startswith("@") else {name}
-    return found
 
 
 # the device rule

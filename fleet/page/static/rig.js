@@ -58,7 +58,7 @@ function Orders({ rig, done }) {
     <div class="row" role="group" aria-label="Mode"><span class="label">Mode</span>
       ${MODES.map(([mode, words]) => html`<${Do} key=${mode} kind=${rig.state.mode === mode ? "on" : ""} act=${() => order("mode", mode)}>${words}<//>`)}
     </div>
-    <div class="row"><span class="label">Safety</span>
+    <div class="row">
       ${rig.standing === "tripped" && html`<${Do} act=${() => order("clear_trip", "PRESS")}>Clear the trip<//>`}
       ${rig.state.emergency_stop ? html`<${Do} act=${() => order("release_emergency_stop", "PRESS")}>Release the stop<//>` : null}
     </div>

@@ -3,16 +3,24 @@
 import os
 import re
 import shutil
+import signal
 import subprocess
+import tempfile
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from unit_calls import call_groups, resolved
 
+from bench.support.broker import wait_for
 from bench.support.daemon_process import ROOT
+from bench.support.page_process import listens
 from edge.core.errors import RequestError
 from fleet.machine import service, units
 from fleet.machine.engines import engines
 from fleet.machine.places import FOLDER, FleetMachine, places_of
+from fleet.machine.setting_up import set_up
 
 EXPOSURE_MAX = 2.5
 HERE = ROOT / "deploy" / "fleet"
@@ -75,6 +83,46 @@ def test_services_are_started_and_every_unit_is_removed_at_the_end(tmp_path: Pat
     assert set(systemctl.read_text().splitlines()[3].split()) == {"disable", "--now", *names}
     assert [path.name for path in folder.iterdir()] == ["other.service"]
     assert not service.end(machine, folder)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
+def test_engines_run_with_the_rights_and_calls_of_their_units() -> None:
+    """As another user who reads the folder by its group alone; every call that a unit refuses fails."""
+    usual()
+    refused = sorted(resolved(["@privileged", "@resources"], call_groups()))
+    assert "setpriority" in refused
+    inject = f"inject={','.join(f'?{name}' for name in refused)}:error=EPERM"
+    with tempfile.TemporaryDirectory(prefix="gh-") as name, ExitStack() as stack:
+        Path(name).chmod(0o755)
+        places = places_of(Path(name) / "fleet")
+        machine = replace(set_up(places, ["localhost"], True, lambda words: None), user="nobody")
+        places.write(machine)
+        set_up(places, [], True, lambda words: None)
+        service.give_files(places, machine)
+        # Our own Python may lie where only root goes; the page's calls are those of a rig's page.
+        for engine in (each for each in engines(places, machine) if each.name not in ("ingest", "page")):
+            become = ("setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", "--no-new-privs")
+            trace = ("strace", "-f", "-qq", "-o", "/dev/null", "-e", inject)
+            log = stack.enter_context((Path(name) / f"{engine.name}.log").open("wb+"))
+            process = subprocess.Popen(
+                [*become, "--bounding-set=-all", *trace, *engine.command],
+                stdout=log, stderr=log, start_new_session=True, env={**os.environ, **engine.environment},
+            )  # fmt: skip
+            stack.callback(end_group, process)
+            wait_for(lambda: listens(engine.port) or process.poll() is not None, engine.name, 60.0)  # noqa: B023
+            assert process.poll() is None, Path(log.name).read_text()
+
+
+def end_group(process: "subprocess.Popen[bytes]") -> None:
+    """End a program and the strace around it."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGTERM)
+    try:
+        process.wait(30.0)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 def test_a_python_that_services_cannot_reach_is_refused(tmp_path: Path) -> None:
