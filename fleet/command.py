@@ -10,23 +10,18 @@ from edge.core.errors import RequestError
 
 HELP = "many rigs: one store, one page, bundles in waves, what boxes have in common"
 VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`, and its help
-    "prior": ("fleet.commands.prior", "write the start of a new box's twin, from those of its kind"),
-    "ingest": (
-        "fleet.commands.ingest",
-        "store what rigs send, and ask for what is missing",
-    ),
     "up": ("fleet.commands.up", "start a fleet on this machine: authority, engines, page"),
     "down": ("fleet.commands.down", "end it; its data stays unless it is erased"),
     "rig": ("fleet.commands.rig", "add, list or remove the rigs that may come in"),
-    "rules": ("fleet.commands.rules", "print the rules of vmalert"),
-    "serve": ("fleet.commands.serve", "serve the page and its API"),
     "user": ("fleet.commands.user", "add, list or remove people who may log in"),
     "rigs": ("fleet.commands.rigs", "list the rigs that were ever heard"),
-    "work": (
-        "fleet.commands.work",
-        "do the jobs of a night: what boxes have in common, which are unlike",
-    ),
+    "changes": ("fleet.commands.changes", "tell which boxes changed, and what is missing in each"),
+    "prior": ("fleet.commands.prior", "write the start of a new box's twin, from those of its kind"),
     "rollout": ("fleet.commands.rollout", "spread a bundle in waves that are judged and rolled back"),
+    "work": ("fleet.commands.work", "do the jobs of a night: diagnoses, priors, boxes unlike their kind"),
+    "ingest": ("fleet.commands.ingest", "store what rigs send, and ask for what is missing"),
+    "serve": ("fleet.commands.serve", "serve the page and its API"),
+    "rules": ("fleet.commands.rules", "print the rules of vmalert"),
 }
 OF_A_MACHINE = ("up", "down", "rig")  # they make what the settings need: `run(arguments)`
 SETTINGS = Path("/etc/greenhouse-fleet/fleet.yaml")

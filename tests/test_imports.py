@@ -37,7 +37,8 @@ FLEET = (
     ("commands",),
     ("machine",),
     ("page",),
-    ("ingest", "jobs", "rollout"),
+    ("jobs",),
+    ("ingest", "rollout"),
     ("numbers",),
     ("database", "priors"),
 )

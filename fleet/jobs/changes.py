@@ -1,0 +1,39 @@
+"""Changes of boxes in one list: alarms of twins, diagnoses, and values unlike their kind."""
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from fleet.database.diagnoses import RigDiagnosis
+from fleet.database.events import RigEvent
+from fleet.database.twins import Departure
+
+KEYS = ("twin.disagrees", "twin.agrees_again", "diagnosis.done", "diagnosis.adopted")
+Line = tuple[float, str]  # utc, a sentence
+
+
+def changes(session: Session, since_utc: float) -> dict[str, list[Line]]:
+    """Return by rig what was found out since then, in the order of time; the rig with the newest first."""
+    found: dict[str, list[Line]] = {}
+
+    def add(rig: str, utc: float, text: str) -> None:
+        found.setdefault(rig, []).append((utc, text))
+
+    for event in session.scalars(select(RigEvent).where(RigEvent.key.in_(KEYS), RigEvent.utc >= since_utc)):
+        add(event.rig, event.utc, event.text)
+    for diagnosis in session.scalars(select(RigDiagnosis).where(RigDiagnosis.utc >= since_utc)):
+        add(diagnosis.rig, diagnosis.utc, f"the fleet's diagnosis: {diagnosis.text}{_gap(diagnosis)}")
+    for far in session.scalars(select(Departure).where(Departure.since_utc >= since_utc)):
+        place = f"{far.effect}.{far.parameter}"
+        add(
+            far.rig,
+            far.since_utc,
+            f"{place} is {far.ratio:.2g} times that of its kind ({far.spreads:+.1f} spreads)",
+        )
+    newest = sorted(found, key=lambda rig: max(found[rig])[0], reverse=True)
+    return {rig: sorted(found[rig]) for rig in newest}
+
+
+def _gap(diagnosis: RigDiagnosis) -> str:
+    if diagnosis.before_k is None or diagnosis.after_k is None:
+        return ""
+    return f"; its error goes from {diagnosis.before_k:.2f} to {diagnosis.after_k:.2f} K"

@@ -1,0 +1,118 @@
+"""Diagnoses of a night: each rig whose twin no longer agrees, once since it began to disagree."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Engine, select
+from sqlalchemy.orm import Session
+
+from edge.core.errors import GreenhouseError
+from edge.core.plain_text import plain
+from edge.core.sweep import sweep
+from edge.diagnosis.diagnose import diagnose
+from edge.diagnosis.history_runs import history_runs
+from edge.twin.twin_file import twin_of
+from fleet.database.diagnoses import RigDiagnosis
+from fleet.database.events import RigEvent
+from fleet.database.twins import ToldTwin
+from fleet.jobs.rig_run import rig_run
+from fleet.numbers.victoria import Numbers
+from fleet.settings import NumbersSettings
+
+DISAGREES, AGREES = "twin.disagrees", "twin.agrees_again"  # keys of a rig's events
+BEFORE_S = 7 * 86400.0  # of a run: it must have seen the box that the twin still fitted
+ROWS_MAX = 6000  # the newest; a day takes a minute or two
+FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisJob:
+    """A rig to diagnose. since_utc, until_utc : when it began to disagree, and now [s since 1970]"""
+
+    rig: str
+    twin: Mapping[str, Any]
+    numbers: NumbersSettings
+    since_utc: float
+    until_utc: float
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisFinding:
+    """What came of a job; as `RigDiagnosis`."""
+
+    verdict: str
+    text: str
+    effects: tuple[str, ...] = ()
+    before_k: float | None = None
+    after_k: float | None = None
+
+
+def diagnose_changed(
+    engine: Engine, numbers: NumbersSettings, utc: float, workers: int = 1, dask: str | None = None
+) -> list[tuple[str, DiagnosisFinding]]:
+    """Diagnose every rig that disagrees now and was not diagnosed since it began. Errors: SweepError"""
+    jobs = list(_jobs(engine, numbers, utc))
+    findings = sweep(carry_out, jobs, workers, dask)
+    with Session(engine) as session, session.begin():
+        for job, found in zip(jobs, findings, strict=True):
+            row = RigDiagnosis(rig=job.rig, since_utc=job.since_utc, utc=utc, verdict=found.verdict)
+            row.text, row.effects = found.text, list(found.effects)
+            row.before_k, row.after_k = found.before_k, found.after_k
+            session.merge(row)
+    return [(job.rig, found) for job, found in zip(jobs, findings, strict=True)]
+
+
+def carry_out(job: DiagnosisJob) -> DiagnosisFinding:
+    """Diagnose one rig from what is in store; a rig that cannot be diagnosed ends no other's."""
+    try:
+        file = twin_of(job.twin)
+        run = rig_run(Numbers(job.numbers), job.rig, job.since_utc - BEFORE_S, job.until_utc)
+        runs = history_runs([run], file, source=job.rig, rows_max=ROWS_MAX)
+        found = diagnose(file, runs, lambda text, share: None, "greenhouse fleet work")
+    except GreenhouseError as error:
+        return DiagnosisFinding(FAILED, f"no diagnosis: {plain(str(error), 400)}")
+    names = tuple(effect.name for effect in found.verdict.effects)
+    before_k, after_k = (_known(found.test_k.get(side)) for side in ("before", "after"))
+    text = _in_words(found.verdict.kind, names, found.verdict.depends_on)
+    return DiagnosisFinding(found.verdict.kind, text, names, before_k, after_k)
+
+
+def _jobs(engine: Engine, numbers: NumbersSettings, utc: float) -> Iterator[DiagnosisJob]:
+    with Session(engine) as session:
+        begun = begun_disagreements(session)
+        rows = session.execute(select(RigDiagnosis.rig, RigDiagnosis.since_utc))
+        done = {(rig, since_utc) for rig, since_utc in rows}
+        twins = {twin.rig: twin for twin in session.scalars(select(ToldTwin))}
+    for rig, since_utc in begun.items():
+        if (rig, since_utc) not in done and rig in twins:
+            yield DiagnosisJob(rig, twins[rig].document, numbers, since_utc, utc)
+
+
+def begun_disagreements(session: Session) -> dict[str, float]:
+    """Return the rigs whose twins disagree now, and when the alarm was raised."""
+    rows = session.execute(
+        select(RigEvent.rig, RigEvent.key, RigEvent.utc)
+        .where(RigEvent.key.in_((DISAGREES, AGREES)))
+        .order_by(RigEvent.utc, RigEvent.seq, RigEvent.number)
+    )
+    begun: dict[str, float] = {}
+    for rig, key, utc in rows:
+        if key == DISAGREES:
+            begun[rig] = utc
+        else:
+            begun.pop(rig, None)
+    return begun
+
+
+def _in_words(kind: str, names: Sequence[str], depends_on: Sequence[str]) -> str:
+    if names:
+        return f"{', '.join(names)} is missing in its twin"
+    if kind == "nothing_missing":
+        return "nothing is missing in its twin"
+    return f"what is missing has no name; it depends on {', '.join(depends_on) or 'nothing that is known'}"
+
+
+def _known(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,47 @@
+"""Ticks of a rig in VictoriaMetrics as a run, with the columns of `greenhouse export`."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from edge.core.errors import DataError
+from edge.core.messages import ReadingQuality
+from edge.core.names import SIGNALS
+from edge.formats.run_file import RecordedRun
+from fleet.ingest.tick import QUALITIES
+from fleet.numbers.series import SEQ, selector
+from fleet.numbers.victoria import Numbers
+
+INPUTS = {"heater_duty": "echo_heater_duty", "fan_on": "echo_fan_on", "led": "echo_led"}
+GOOD = QUALITIES[ReadingQuality.GOOD.value]
+Samples = dict[float, float]  # utc -> value
+
+
+def rig_run(numbers: Numbers, rig: str, since_utc: float, until_utc: float) -> RecordedRun:
+    """Return the ticks of a rig in this time.
+
+    Readings that were not good are missing; an input that the board did not confirm counts as off.
+    Errors : DataError where there are none, NumbersError
+    """
+
+    def samples(quantity: str) -> Samples:
+        found: Samples = {}
+        for series in numbers.series(selector(quantity, rig=rig), since_utc, until_utc):
+            found.update(zip(series.utc, series.values, strict=True))
+        return found
+
+    times = sorted(samples(SEQ))
+    if not times:
+        raise DataError(f"{rig}: no tick from {since_utc:.0f} to {until_utc:.0f} is in store")
+    columns = {"time_s": np.round(np.array(times) - times[0], 3)}
+    for signal in SIGNALS.values():
+        quality, values = samples(f"{signal.key}_quality"), samples(signal.key)
+        column = [values.get(utc, np.nan) if quality.get(utc) == GOOD else np.nan for utc in times]
+        if np.isfinite(column).any() or signal.key == "temp_air_c":
+            columns[signal.key] = np.array(column)
+    for name, quantity in INPUTS.items():
+        confirmed = samples(quantity)
+        columns[name] = np.array([confirmed.get(utc, 0.0) for utc in times])
+    start = datetime.fromtimestamp(times[0], UTC).isoformat(timespec="milliseconds")
+    return RecordedRun(columns, {"start_utc": start, "rig": rig}, Path(rig))
