@@ -40,7 +40,7 @@ class DiagnosisJob:
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisFinding:
-    """What came of a job; as `RigDiagnosis`."""
+    """Result of a job; as `RigDiagnosis`."""
 
     verdict: str
     text: str
@@ -74,7 +74,7 @@ def carry_out(job: DiagnosisJob) -> DiagnosisFinding:
     except GreenhouseError as error:
         return DiagnosisFinding(FAILED, f"no diagnosis: {plain(str(error), 400)}")
     names = tuple(effect.name for effect in found.verdict.effects)
-    before_k, after_k = (_known(found.test_k.get(side)) for side in ("before", "after"))
+    before_k, after_k = (_finite(found.test_k.get(side)) for side in ("before", "after"))
     text = _in_words(found.verdict.kind, names, found.verdict.depends_on)
     return DiagnosisFinding(found.verdict.kind, text, names, before_k, after_k)
 
@@ -114,5 +114,5 @@ def _in_words(kind: str, names: Sequence[str], depends_on: Sequence[str]) -> str
     return f"what is missing has no name; it depends on {', '.join(depends_on) or 'nothing that is known'}"
 
 
-def _known(value: float | None) -> float | None:
+def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
