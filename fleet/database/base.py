@@ -12,6 +12,13 @@ from fleet.settings import DatabaseSettings
 
 VERSION = 1  # of the tables
 BUSY_S = 30.0  # SQLite: another process holds the lock for milliseconds
+POSTGRES = {  # libpq: a server whose machine is gone is noticed after half a minute
+    "connect_timeout": 10,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 4,
+    "tcp_user_timeout": 30_000,
+}
 
 
 class FleetTable(DeclarativeBase):
@@ -37,7 +44,8 @@ def open_database(settings: DatabaseSettings) -> Engine:
     if settings.password_file:
         url = url.set(password=read_secret(settings.password_file, "database.password_file").value)
     is_sqlite = url.get_backend_name() == "sqlite"
-    engine = create_engine(url, connect_args={"timeout": BUSY_S} if is_sqlite else {}, pool_pre_ping=True)
+    options: dict[str, Any] = {"timeout": BUSY_S} if is_sqlite else POSTGRES
+    engine = create_engine(url, connect_args=options, pool_pre_ping=True)
     if is_sqlite:
         event.listen(engine, "connect", _set_pragmas)
     try:

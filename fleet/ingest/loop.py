@@ -21,18 +21,18 @@ from edge.core.errors import ConfigError
 from edge.core.event_log import Allowance
 from edge.core.plain_text import plain
 from fleet.ingest.batch import Batch, Times
-from fleet.ingest.books import Books, Entry
+from fleet.ingest.books import Books
 from fleet.ingest.inbox import FleetInbox, Message
-from fleet.ingest.ledger import RigLedger, RigPlan
+from fleet.ingest.ledger import RigLedger
 from fleet.ingest.refusal import Refused
-from fleet.ingest.tick import Tick
+from fleet.ingest.writer import BatchReport, BatchWriter, RigRefusals
 from fleet.numbers.options import problem
-from fleet.numbers.series import lines
 from fleet.numbers.victoria import Numbers, NumbersError
 from fleet.settings import FleetSettings
 
 DAY_S = 86400.0
 RETRY_FIRST_S, RETRY_MAX_S = 0.5, 4.0
+WATCHED_S = 60.0  # a batch is three requests with a time limit of 30 s each, and a transaction
 LOOK_S = 1.0  # between two looks at the gaps of all rigs, and no more than this share of the time:
 LOOK_SHARE = 0.05
 ASKS_MAX = 50  # rigs that send again at one time
@@ -46,9 +46,10 @@ class Ingest:
     def __init__(self, settings: FleetSettings, engine: Engine, journal: Path | None = None) -> None:
         self._settings, self._journal = settings, journal
         self._numbers = Numbers(settings.numbers)
-        self._books = Books(engine)
         self._inbox = FleetInbox(settings.mqtt, settings.ingest.window)
-        self._ledgers = {name: RigLedger(settings.ingest.gap_wait_s) for name in self._books.names()}
+        books = Books(engine)
+        self._ledgers = {name: RigLedger(settings.ingest.gap_wait_s) for name in books.names()}
+        self._writer = BatchWriter(self._numbers, books, self._ledgers)
         self._allowance = Allowance(SAID_BURST, SAID_PER_S, time.monotonic)
         self._look_at_s = 0.0
         self._check_at_s = 0.0
@@ -59,10 +60,10 @@ class Ingest:
     def run(self, ended: threading.Event) -> None:
         """Run until `ended`. Errors: ConfigError; whatever does not answer is tried again"""
         own = self._settings.ingest
+        self._notifier.ready("waits for VictoriaMetrics", WATCHED_S)
         if not self._wait_for_numbers(ended):
             return
         self._inbox.start()
-        self._notifier.ready("hears rigs", own.batch_s)
         try:
             while not ended.is_set():
                 messages = self._inbox.take(own.batch_s)
@@ -84,6 +85,7 @@ class Ingest:
                 return True
             except NumbersError as error:
                 _say(f"{error}; again in {RETRY_MAX_S:g} s")
+                self._notifier.alive(plain(str(error)))
                 ended.wait(RETRY_MAX_S)
         return False
 
@@ -100,17 +102,15 @@ class Ingest:
         batch = self._sort(messages)
         while not ended.is_set():
             try:
-                numbers_s, database_s, stored = self._write(batch)
+                written = self._writer.write(batch)
             except (NumbersError, SQLAlchemyError) as error:
-                # What the database has is not known after a commit without an answer: it is read again.
-                for rig in batch.rigs:
-                    self._ledgers[rig].is_loaded = False
                 _say(f"{plain(str(error))}; again in {pause_s:g} s")
                 self._notifier.alive(plain(str(error)))
                 ended.wait(pause_s)
                 pause_s = min(2 * pause_s, RETRY_MAX_S)
             else:
-                self._note(messages, stored, began_s, numbers_s, database_s)
+                self._tell(written.refused)
+                self._note(messages, written, began_s)
                 return True
         return False
 
@@ -133,75 +133,14 @@ class Ingest:
             self._ledgers[rig] = RigLedger(own.gap_wait_s)
         return self._ledgers.get(rig)
 
-    def _write(self, batch: Batch) -> tuple[float, float, int]:
-        """Write a batch; return the seconds that both stores took, and how many ticks were new."""
-        start_s = time.monotonic()
-        self._load(batch)
-        plans, refused = self._plan(batch)
-        fresh = [tick for rig_plan in plans.values() for tick in rig_plan[1]]
-        loaded_s = time.monotonic()
-        if fresh:
-            self._numbers.store("".join([lines(tick.rig, tick.utc, tick.samples) for tick in fresh]))
-        stored_s = time.monotonic()
-        self._books.write(self._entry(batch, plans, fresh, refused))
-        for plan, _ in plans.values():
-            plan.settle()
-        self._tell(refused)
-        written_s = time.monotonic()
-        return stored_s - loaded_s, written_s - stored_s + loaded_s - start_s, len(fresh)
-
-    def _load(self, batch: Batch) -> None:
-        wanted = [rig for rig in batch.rigs if not self._ledgers[rig].is_loaded]
-        if wanted:
-            for rig, histories in self._books.histories(wanted).items():
-                self._ledgers[rig].load(histories)
-
-    def _plan(self, batch: Batch) -> tuple[dict[str, tuple[RigPlan, list[Tick]]], list[tuple[str, Refused]]]:
-        """Return by rig what its histories will be with its new ticks, and all that is refused."""
-        plans: dict[str, tuple[RigPlan, list[Tick]]] = {}
-        refused = list(batch.refused)
-
-        def plan_of(rig: str) -> tuple[RigPlan, list[Tick]]:
-            return plans.setdefault(rig, (RigPlan(self._ledgers[rig]), []))
-
-        for tick in batch.ticks:
-            plan, fresh = plan_of(tick.rig)
-            try:
-                if plan.take(tick):
-                    fresh.append(tick)
-            except Refused as error:
-                refused.append((tick.rig, error))
-        for rig, lie in batch.refused:
-            if lie.seq:
-                plan_of(rig)[0].give_up(lie.history_id, (lie.seq, lie.seq))
-        for rig, history_id, span in batch.absent:
-            plan_of(rig)[0].give_up(history_id, span)
-        return plans, refused
-
-    def _entry(
-        self,
-        batch: Batch,
-        plans: dict[str, tuple[RigPlan, list[Tick]]],
-        fresh: list[Tick],
-        refused: list[tuple[str, Refused]],
-    ) -> Entry:
-        spans = {rig: (self._ledgers[rig].histories, plan.histories) for rig, (plan, _) in plans.items()}
-        entry = Entry(batch.times.utc, batch.rigs, spans, fresh, batch.twins)
-        for rig, error in refused:
-            entry.refused[rig, error.reason] += 1
-            entry.texts[rig, error.reason] = plain(str(error), 500)
-        return entry
-
     # telling
 
-    def _tell(self, refused: list[tuple[str, Refused]]) -> None:
+    def _tell(self, refused: RigRefusals) -> None:
         for rig, error in refused:
             if self._allowance.take():
                 _say(f"{rig or 'no rig'}: refused, {error.reason}: {error}")
 
-    def _note(
-        self, messages: Sequence[Message], stored: int, began_s: float, numbers_s: float, database_s: float
-    ) -> None:
+    def _note(self, messages: Sequence[Message], written: BatchReport, began_s: float) -> None:
         if self._journal is None:
             return
         now = time.monotonic()
@@ -209,10 +148,10 @@ class Ingest:
         line = {
             "utc": round(time.time(), 3),
             "messages": len(messages),
-            "stored": stored,
+            "stored": written.ticks,
             "store_s": round(now - began_s, 4),
-            "numbers_s": round(numbers_s, 4),
-            "database_s": round(database_s, 4),
+            "numbers_s": round(written.numbers_s, 4),
+            "database_s": round(written.database_s, 4),
             "lags_s": lags,
         }
         with self._journal.open("a", encoding="utf-8") as file:
