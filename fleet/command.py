@@ -54,6 +54,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out a verb. Errors: GreenhouseError"""
     from fleet.settings import load
 
-    if arguments.verb in OF_A_MACHINE:
-        return int(arguments.run_verb(arguments))
-    return int(arguments.run_verb(load(arguments.settings), arguments))
+    try:
+        if arguments.verb in OF_A_MACHINE:
+            return int(arguments.run_verb(arguments))
+        return int(arguments.run_verb(load(arguments.settings), arguments))
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        raise RequestError(f"{where}{error.strerror or error}") from error

@@ -48,6 +48,9 @@ def set_up(places: FleetPlaces, names: Sequence[str], is_try: bool, tell: Tell) 
     if not places.settings.exists():
         write_atomically(places.settings, settings_file(places, machine))
     settings = load(places.settings)
+    unknown = [name for name in machine.names if name not in ("localhost", LOCAL, *settings.page.names)]
+    if unknown:
+        tell(f"{places.settings}: page.names lacks {', '.join(unknown)}: browsers are refused by that name")
     write_atomically(places.broker, broker_file(places, machine))
     write_atomically(places.web, web_file(places, machine))
     write_atomically(places.rules, alarm_rules(settings.alarms))

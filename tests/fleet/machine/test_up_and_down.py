@@ -146,6 +146,14 @@ def test_a_folder_of_others_is_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    refused = command("up", "--foreground", "--folder", str(tmp_path / "file" / "fleet"))
+    assert refused.returncode == 2
+    assert refused.stderr.startswith(f"greenhouse fleet: {tmp_path}/file")
+    assert refused.stderr.count("\n") == 1
+
+
 def test_set_up_again_keeps_what_is_yours_and_renews_what_is_its(tmp_path: Path) -> None:
     places = places_of(tmp_path / "fleet")
     said: list[str] = []
@@ -160,6 +168,7 @@ def test_set_up_again_keeps_what_is_yours_and_renews_what_is_its(tmp_path: Path)
     assert machine.names == ("two.example", "localhost", "127.0.0.1")
     assert places.certificate("server").read_bytes() != before
     assert {path: path.read_bytes() for path in kept} == kept
+    assert "page.names lacks two.example" in said[-1]
 
 
 def test_secrets_are_for_their_owner_and_the_authoritys_for_nobody_else(tmp_path: Path) -> None:
