@@ -48,6 +48,7 @@ BENCHES = {
     "real_logs": Bench(("--out", "out/bench", "--images", "out/bench"), keeps_its_table=True),
     "real_truth": Bench(("--only", "energy balance")),
     "board_fuzz": Bench(("--bytes", "3e6")),
+    "fleet_rollout": Bench(("--seeds", "1")),
     "boxes": Bench(("--boxes", "9", "--rows", "PID", "MPC-Twin-P")),
     "house": Bench(()),
     "what_if": Bench(("--seeds", "1", "--boxes")),

@@ -2,6 +2,9 @@
 
 Each box is compared with itself before the wave, at the same hours of the day. The boxes of the wave are then
 compared with boxes of their kind whose bundle stays, so that what the weather does to both drops out.
+
+The bound on false stops is exact where each block's mean, given those before it, is not above the margin.
+Hours of a box resemble each other, so `python -m bench.fleet_rollout` counts false stops too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,8 +16,8 @@ from fleet.rollout.betting import evidence_above, evidence_below
 
 HOUR_S = 3600.0
 DAY_H = 24
-BLOCK_H = 3  # hours that make one value: successive hours resemble each other, successive blocks less
-# A block that is dearer or cheaper by more than this share counts as this share, so no odd block decides.
+BLOCK_H = 1  # hours that make one value
+# A box that is dearer or cheaper by more than this share counts as this share, so no odd box decides.
 BOUND = 0.3
 SMALLEST_COST = 0.02  # a step [1]: below it, a share of the cost says nothing about a box
 COMPARED_LEAST = 2  # boxes on each side
@@ -94,7 +97,11 @@ def difference(changed: Sequence[float], waiting: Sequence[float]) -> float | No
     """
     if min(len(changed), len(waiting)) < COMPARED_LEAST:
         return None
-    return max(-BOUND, min(fmean(changed) - fmean(waiting), BOUND))
+    return _within(fmean(map(_within, changed)) - fmean(map(_within, waiting)))
+
+
+def _within(share: float) -> float:
+    return max(-BOUND, min(share, BOUND))
 
 
 def judge(differences: Mapping[str, Sequence[float]], rules: JudgeRules, time_is_over: bool) -> WaveJudgement:

@@ -38,8 +38,9 @@ def test_a_block_that_lacks_an_hour_has_no_value() -> None:
     assert relative_change(after, [], begin) is None
 
 
-def test_one_odd_box_moves_a_block_no_further_than_the_bound() -> None:
-    assert difference([90.0, 0.0], [0.0, 0.0]) == BOUND
+def test_one_odd_box_counts_no_more_than_the_bound() -> None:
+    assert difference([90.0, 0.0], [0.0, 0.0]) == BOUND / 2
+    assert difference([90.0, 9.0], [-0.5, -0.5]) == BOUND
     assert difference([0.1, 0.3], [0.0, 0.1]) == pytest.approx(0.15)
     assert difference([0.1], [0.0, 0.1]) is None
 
