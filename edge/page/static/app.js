@@ -5,11 +5,10 @@ import { call, follow } from "./api.js";
 import { Alarms } from "./alarms.js";
 import { Calibration } from "./calibration.js";
 import { Chart, LEGEND, columnsOf, spanAhead } from "./chart.js";
-import { Door } from "./door.js";
 import { ModelCards } from "./models.js";
 import { Memory } from "./memory.js";
 import { Profile } from "./profile.js";
-import { Access, Ask, Controls, Events, Health, Models, Now, Stop, Why, troubles } from "./parts.js";
+import { Access, Ask, Controls, Door, Events, Health, Models, Now, Stop, Why, troubles } from "./parts.js";
 import { WhatIf } from "./what_if.js";
 
 const SPANS = [[3600, "1 h"], [6 * 3600, "6 h"], [86400, "1 day"], [7 * 86400, "7 days"]];

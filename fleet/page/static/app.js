@@ -2,8 +2,7 @@
 
 import { html, render, useEffect, useErrorBoundary, useState } from "/ui.js";
 import { call } from "/api.js";
-import { Door } from "/door.js";
-import { seconds } from "/parts.js";
+import { Door, seconds } from "/parts.js";
 import { Alarms } from "./alarms.js";
 import { Rig } from "./rig.js";
 import { RigList } from "./rig_list.js";
