@@ -1,12 +1,11 @@
 """`greenhouse fleet up`: a fleet on this machine, as services, or below this process for a try."""
 
 import argparse
-import importlib.util
 import sys
 from pathlib import Path
 
 from fleet.machine import service
-from fleet.machine.engines import Engine, engines
+from fleet.machine.engines import engines
 from fleet.machine.foreground import run_below
 from fleet.machine.places import FOLDER, FleetMachine, places_of
 from fleet.machine.setting_up import set_up
@@ -32,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
         service.check_root()
         service.check_program(Path(sys.executable))
     machine = set_up(places, arguments.name, arguments.foreground, _tell)
-    programs = [engine for engine in engines(places, machine) if _is_here(engine)]
+    programs = list(engines(places, machine))
     if arguments.foreground:
         _tell(f"{_address(machine)} will be the page; logs are in {machine.data}/log")
         return run_below(places, machine, programs, _tell)
@@ -41,14 +40,6 @@ def run(arguments: argparse.Namespace) -> int:
     service.start(programs, machine, places)
     _tell(f"{_address(machine)} is the page; make a person: greenhouse fleet user add NAME --role admin")
     return 0
-
-
-def _is_here(engine: Engine) -> bool:
-    """Return whether a program of ours is a part of this installation; say so where it is not."""
-    missing = engine.name == "ingest" and importlib.util.find_spec("fleet.commands.ingest") is None
-    if missing:
-        _tell("`greenhouse fleet ingest` is not installed: nothing of a rig will be stored")
-    return not missing
 
 
 def _address(machine: FleetMachine) -> str:
