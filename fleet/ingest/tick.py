@@ -21,7 +21,7 @@ from fleet.numbers.series import SEQ, Samples, head
 Note = Callable[[str], None]
 Found = Iterator[tuple[str, float]]
 
-PAYLOAD_MAX = 64 << 10  # [bytes]; a tick of the default daemon has 4 to 6 kB
+PAYLOAD_MAX = 64 << 10  # [bytes]; a tick of the default daemon has 2 kB
 ID = re.compile(r"[a-zA-Z0-9-]{1,64}")  # of a history; edge makes UUIDs
 KEY_MAX = 64  # characters of an event's key
 SEQ_MAX = 2**53  # larger numbers are not whole in VictoriaMetrics

@@ -116,3 +116,16 @@ def test_a_store_that_would_keep_a_tick_twice_is_refused(tmp_path: Path) -> None
         assert ingest.process is not None
         assert ingest.process.wait(PATIENCE_S) == 2
         assert "must be 1ms, or a tick that comes twice is in store twice" in ingest.log
+
+
+def test_an_end_while_victoria_metrics_is_away_loses_nothing(fleet: Fleet) -> None:
+    with RigWithoutBoard(fleet.folder, "rig-1", fleet.broker.port) as rig:
+        rig.tick()
+        wait_until_all_is_stored([rig], fleet.numbers, fleet.engine, say=fleet.ingest.log)
+        fleet.victoria.kill()
+        rig.tick()
+        wait_for(lambda: "numbers.url" in fleet.ingest.log, "a batch that cannot be stored")
+        assert fleet.ingest.stop() == 0
+        fleet.victoria.start()
+        fleet.ingest.start()
+        wait_until_all_is_stored([rig], fleet.numbers, fleet.engine, say=fleet.ingest.log)
