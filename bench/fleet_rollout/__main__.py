@@ -1,7 +1,8 @@
 """python -m bench.fleet_rollout: is a bad bundle stopped in its first wave, and how far gets a good one?
 
 A fleet of 60 boxes of three kinds for each seed. The bundle "good" is learnt from more boxes than the one
-that runs; in "bad" the model of one kind lacks a quarter of the loss; "same" is what runs, once more.
+that runs, and keeps its models for the kinds in which they are cheaper; in "bad" the model of one kind lacks
+a quarter of the loss; "same" is what runs, once more.
 The runner of `fleet.rollout` spreads them, on a database, over boxes whose costs were simulated before: those
 of the generator, linearised, driven by the bundle's model and a proportional correction, not by the daemon.
 """

@@ -94,7 +94,20 @@ def simulate(seed: int, names: Sequence[str] = BUNDLES) -> SimulatedCosts:
         costs[name] = closed_loop(
             Loop(facts, boxes, models[bundle], gains, around, reference), bool(learns), seed
         )
-    return SimulatedCosts([kind for kind in kinds for _ in range(OF_KIND)], bad, costs)
+    members = [kind for kind in kinds for _ in range(OF_KIND)]
+    if "good" in costs:
+        _keep_better(np.array(members), bad, costs)
+    return SimulatedCosts(members, bad, costs)
+
+
+def _keep_better(members: NDArray[np.str_], bad: str, costs: dict[str, Floats]) -> None:
+    """Leave a kind its old model where the new one is dearer, as who trains would; "good" is good by this."""
+    for kind in dict.fromkeys(members.tolist()):
+        own = members == kind
+        if np.mean(costs["good"][own].mean(axis=1) / costs["old"][own].mean(axis=1)) > 1.0:
+            costs["good"][own] = costs["old"][own]
+            if kind != bad:
+                costs["bad"][own] = costs["old"][own]
 
 
 Drawn = tuple[BoxFacts, LinearBox]
