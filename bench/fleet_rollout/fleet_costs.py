@@ -92,7 +92,7 @@ def simulate(seed: int, names: Sequence[str] = BUNDLES) -> SimulatedCosts:
     for name in names:
         bundle, _, learns = name.partition(", ")
         costs[name] = closed_loop(
-            Loop(facts, boxes, models[bundle], gains, around, reference), bool(learns), seed
+            FleetLoop(facts, boxes, models[bundle], gains, around, reference), bool(learns), seed
         )
     members = [kind for kind in kinds for _ in range(OF_KIND)]
     if "good" in costs:
@@ -180,7 +180,7 @@ def _references(facts: Sequence[BoxFacts], rng: np.random.Generator) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Loop:
+class FleetLoop:
     """A fleet in closed loop. gains : [boxes]; around : [boxes, steps, 3]; reference : [boxes, steps + 1]"""
 
     facts: Sequence[BoxFacts]
@@ -191,7 +191,7 @@ class Loop:
     reference: Floats
 
 
-def closed_loop(loop: Loop, learns: bool, seed: int) -> Floats:
+def closed_loop(loop: FleetLoop, learns: bool, seed: int) -> Floats:
     """Return the mean cost of a step in each hour [boxes, hours], by the paper's cost of what sensors show.
 
     learns : with an integral

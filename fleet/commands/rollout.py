@@ -35,12 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         name: actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
         for name, text in ACTIONS.items()
     }
+    for each in action.values():  # where people write it, too
+        each.add_argument("--settings", type=Path, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     action["start"].add_argument("bundle", type=Path, help="archive or folder of the bundle")
     action["start"].add_argument("--group", default="", help="rigs of this group alone; default: all rigs")
     action["stop"].add_argument("rollout", type=int, help="its number")
     action["stop"].add_argument("--why", default="a person stopped it", help="reason, for the record")
     action["status"].add_argument("--rigs", action="store_true", help="a line for each rig too")
-    action["run"].add_argument("--once", action="store_true", help="look once and end")
 
 
 def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
@@ -57,16 +58,21 @@ def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
             stop_by_person(engine, arguments.rollout, arguments.why, time.time())
             print(f"rollout {arguments.rollout} is stopped; its rigs are ordered to roll back")
         case "run":
-            _serve(settings, engine, arguments.once)
+            _serve(settings, engine)
     return 0
 
 
-def _serve(settings: FleetSettings, engine: Engine, once: bool) -> None:
-    ended = threading.Event()
+def _serve(settings: FleetSettings, engine: Engine) -> None:
+    ended, awake = threading.Event(), threading.Event()
+
+    def end(*_: object) -> None:
+        ended.set()
+        awake.set()
+
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: ended.set())
-    line = MqttRigLine(settings.mqtt)
+            signal.signal(number, end)
+    line = MqttRigLine(settings.mqtt, awake.set)
     try:
         runner = RolloutRunner(engine, settings.rollout.address, line, costs_from(settings.numbers))
         said = ""
@@ -76,9 +82,8 @@ def _serve(settings: FleetSettings, engine: Engine, once: bool) -> None:
             if runner.problem and runner.problem != said:
                 print(f"no wave is judged: {runner.problem}", file=sys.stderr, flush=True)
             said = runner.problem
-            if once:
-                break
-            ended.wait(LOOK_S)
+            awake.wait(LOOK_S)
+            awake.clear()
     finally:
         line.close()
 

@@ -2,6 +2,7 @@
 
 import json
 import queue
+from collections.abc import Callable
 from typing import Protocol
 
 from paho.mqtt.client import Client, MQTTMessage
@@ -40,10 +41,14 @@ class RigLine(Protocol):
 
 
 class MqttRigLine:
-    """Over the broker. Errors: ConfigError for settings of the broker that waiting cannot mend"""
+    """Over the broker. Errors: ConfigError for settings of the broker that waiting cannot mend
 
-    def __init__(self, settings: MqttSettings) -> None:
-        self._prefix = settings.topic_prefix
+    wake : called by the network's thread when news came, or orders can be sent from now on
+    """
+
+    def __init__(self, settings: MqttSettings, wake: Callable[[], None] = lambda: None) -> None:
+        self._prefix, self._wake = settings.topic_prefix, wake
+        self._can_hear = False  # no order before its answer can be heard
         self._waiting: queue.SimpleQueue[Heard] = queue.SimpleQueue()
         self._unconfirmed: list[Heard] = []
         self._client = make_client(settings, lane=LANE)
@@ -55,6 +60,8 @@ class MqttRigLine:
             settings.host, settings.port, settings.keepalive_s, clean_start=False, properties=session
         )
         self._client.on_connect = self._on_connect
+        self._client.on_subscribe = self._on_subscribe
+        self._client.on_disconnect = self._on_disconnect
         self._client.on_message = self._on_message
         self._client.loop_start()
 
@@ -84,7 +91,7 @@ class MqttRigLine:
         self._unconfirmed.clear()
 
     def _send(self, topic: str, order: dict[str, str]) -> bool:
-        if not self._client.is_connected():
+        if not self._can_hear:
             return False
         self._client.publish(f"{self._prefix}/{topic}", json.dumps(order), qos=1)
         return True
@@ -93,10 +100,20 @@ class MqttRigLine:
         if not code.is_failure:
             client.subscribe([(f"{self._prefix}/+/event", 1), (f"{self._prefix}/+/availability", 1)])
 
+    def _on_subscribe(
+        self, client: Client, _: object, mid: int, codes: list[ReasonCode], more: object
+    ) -> None:
+        self._can_hear = not any(code.is_failure for code in codes)
+        self._wake()
+
+    def _on_disconnect(self, *_: object) -> None:
+        self._can_hear = False
+
     def _on_message(self, client: Client, _: object, message: MQTTMessage) -> None:
         news = read_news(message.topic, bytes(message.payload))
         if news is not None:
             self._waiting.put((news, message))
+            self._wake()
         elif message.qos:
             client.ack(message.mid, message.qos)
 
