@@ -25,6 +25,7 @@ from edge.board.serial_port import OpenPort, SerialPort
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.predictors import loader
 from edge.bundle.proof import Prover
+from edge.bundle.remote import BundleSource
 from edge.bundle.store import BundleStore
 from edge.config.loading import config_hash
 from edge.config.settings import SensorCalibration, Settings
@@ -242,7 +243,8 @@ class Daemon:
         store = BundleStore(Path(settings.bundle.path), keys, loader(step_s), prove=Prover(keys, step_s))
         automatic = settings.bundle.auto == "promote"
         own = settings.bundle
-        bundles = BundleKeeper(store, self.clock, automatic, own.trial_ticks, own.source)
+        source = BundleSource(own.source, own.source_ca)
+        bundles = BundleKeeper(store, self.clock, automatic, own.trial_ticks, source)
         self._stack.callback(bundles.close)
         return bundles
 

@@ -170,13 +170,19 @@ class BundleKeeper:
 
     automatic : follow the scores without being asked
     trial_ticks : scored forecasts per horizon before a bundle on trial is judged
-    source : address under which a fleet's bundles stand; "" where none may order any
+    source : where a fleet's bundles stand
     """
 
     def __init__(
-        self, store: BundleStore, clock: Clock, automatic: bool, trial_ticks: int, source: str = ""
+        self,
+        store: BundleStore,
+        clock: Clock,
+        automatic: bool,
+        trial_ticks: int,
+        source: remote.BundleSource | None = None,
     ) -> None:
-        self._store, self._clock, self._source = store, clock, source
+        self._store, self._clock = store, clock
+        self._source = source or remote.BundleSource()
         self._automatic, self._trial_ticks = automatic, trial_ticks
         self.serving: Serving = choose(store)
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()

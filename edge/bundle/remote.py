@@ -8,6 +8,7 @@ import re
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, BinaryIO
 from urllib.parse import urlsplit
@@ -34,18 +35,29 @@ _READ_BYTES = 1 << 16
 Order = Callable[[BundleStore], Roles]
 
 
-def install_order(source: str, url: str | None, sha256: str | None) -> Order:
-    """Return what installs and activates a bundle. source : `bundle.source`. Errors: RequestError"""
+@dataclass(frozen=True, slots=True)
+class BundleSource:
+    """The one place of bundles.
+
+    address : "" where nobody may order any; authority : file of a certificate, "" for the system's
+    """
+
+    address: str = ""
+    authority: str = ""
+
+
+def install_order(source: BundleSource, url: str | None, sha256: str | None) -> Order:
+    """Return what installs and activates a bundle. Errors: RequestError"""
     _check_allowed(source)
-    place = source.rstrip("/") + "/"
+    place = source.address.rstrip("/") + "/"
     if not url or not url.startswith(place) or not _NAME.fullmatch(url.removeprefix(place)):
         raise RequestError(f"url: {quote(url)} is no file directly under bundle.source, {place}")
     if sha256 is None or not _SHA256.fullmatch(sha256):
         raise RequestError(f"sha256: {quote(sha256)} is no SHA-256 in lower case")
-    return partial(_install, url=url, sha256=sha256)
+    return partial(_install, url=url, sha256=sha256, authority=source.authority)
 
 
-def rollback_order(source: str, version: str | None) -> Order:
+def rollback_order(source: BundleSource, version: str | None) -> Order:
     """Return what leaves a bundle, wherever it runs. Errors: RequestError"""
     _check_allowed(source)
     if version is None or not VERSION.fullmatch(version):
@@ -53,9 +65,10 @@ def rollback_order(source: str, version: str | None) -> Order:
     return partial(_leave, version=version)
 
 
-def fetch(url: str, sha256: str, into: BinaryIO) -> None:
+def fetch(url: str, sha256: str, into: BinaryIO, authority: str = "") -> None:
     """Write what stands at an address to a file. No other address is followed.
 
+    authority : file of the certificate that the server's is signed by, "" for the system's
     Errors : DataError for a server that is away, slow or refuses, for too many bytes, another hash
     """
     from http import HTTPStatus
@@ -64,7 +77,7 @@ def fetch(url: str, sha256: str, into: BinaryIO) -> None:
     parts = urlsplit(url)
     give_up_s, size, digest = time.monotonic() + FETCH_MAX_S, 0, hashlib.sha256()
     try:
-        line = _line(parts.scheme, parts.hostname or "", parts.port)
+        line = _line(parts.scheme, parts.hostname or "", parts.port, authority)
         try:
             line.request("GET", parts.path)
             answer = line.getresponse()
@@ -86,22 +99,25 @@ def fetch(url: str, sha256: str, into: BinaryIO) -> None:
         raise DataError(f"{url}: its sha256 is {digest.hexdigest()}, the order says {sha256}")
 
 
-def _line(scheme: str, host: str, port: int | None) -> "HTTPConnection":
+def _line(scheme: str, host: str, port: int | None, authority: str) -> "HTTPConnection":
     import ssl
     from http.client import HTTPConnection, HTTPSConnection
 
     if scheme == "https":
-        context = ssl.create_default_context()
+        try:
+            context = ssl.create_default_context(cafile=authority or None)
+        except (OSError, ssl.SSLError) as error:
+            raise DataError(f"bundle.source_ca: {authority}: {error}") from None
         return HTTPSConnection(host, port, timeout=SILENCE_MAX_S, context=context)
     return HTTPConnection(host, port, timeout=SILENCE_MAX_S)
 
 
-def _install(store: BundleStore, url: str, sha256: str) -> Roles:
+def _install(store: BundleStore, url: str, sha256: str, authority: str) -> Roles:
     """Fetch, prove, install and activate a bundle; one that is active already stays so. Errors: DataError"""
     try:
         make_folder(store.folder)
         with tempfile.TemporaryFile(dir=store.folder) as archive:  # /tmp may be memory
-            fetch(url, sha256, archive)
+            fetch(url, sha256, archive, authority)
             version = store.install(archive).version
     except OSError as error:
         raise DataError(f"{error.filename or store.folder}: {error.strerror or error}") from error
@@ -118,6 +134,6 @@ def _leave(store: BundleStore, version: str) -> Roles:
     return store.roll_back(version) if roles.active == version else roles
 
 
-def _check_allowed(source: str) -> None:
-    if not source:
+def _check_allowed(source: BundleSource) -> None:
+    if not source.address:
         raise RequestError("bundle.source is empty: this rig takes no orders about bundles from a fleet")

@@ -224,6 +224,9 @@ class BundleSettings(Section):
         "has signed; empty: such orders are refused",
         pattern=URL,
     )
+    source_ca: str = text(
+        "", "certificate of the authority by which `source` is known over https; empty: this system's"
+    )
     trial_ticks: int = whole(
         1440,
         "forecasts scored at each horizon before a bundle in shadow or on probation is judged",

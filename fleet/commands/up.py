@@ -7,7 +7,7 @@ from pathlib import Path
 from fleet.machine import service
 from fleet.machine.engines import engines
 from fleet.machine.foreground import run_below
-from fleet.machine.places import FOLDER, FleetMachine, places_of
+from fleet.machine.places import FOLDER, places_of
 from fleet.machine.setting_up import set_up
 
 
@@ -33,19 +33,13 @@ def run(arguments: argparse.Namespace) -> int:
     machine = set_up(places, arguments.name, arguments.foreground, _tell)
     programs = list(engines(places, machine))
     if arguments.foreground:
-        _tell(f"{_address(machine)} will be the page; logs are in {machine.data}/log")
+        _tell(f"{machine.address}/ will be the page; logs are in {machine.data}/log")
         return run_below(places, machine, programs, _tell)
     service.make_user(machine)
     service.give_files(places, machine)
     service.start(programs, machine, places)
-    _tell(f"{_address(machine)} is the page; make a person: greenhouse fleet user add NAME --role admin")
+    _tell(f"{machine.address}/ is the page; make a person: greenhouse fleet user add NAME --role admin")
     return 0
-
-
-def _address(machine: FleetMachine) -> str:
-    port = machine.ports.web
-    name = machine.host or machine.names[0]
-    return f"https://{name}/" if port == 443 else f"https://{name}:{port}/"
 
 
 def _tell(words: str) -> None:

@@ -1,34 +1,76 @@
-"""`greenhouse fleet work`: the jobs of a night, once."""
+"""`greenhouse fleet work`: the jobs of a night, once or each night."""
 
 import argparse
+import signal
+import sys
+import threading
 import time
+from datetime import datetime, timedelta
 
-from edge.core.errors import DataError
+from edge.core.errors import DataError, GreenhouseError, RequestError
 from edge.core.sweep import add_arguments as add_sweep_arguments
 from fleet.database.base import open_database
-from fleet.jobs.diagnosis_job import diagnose_changed
-from fleet.jobs.prior_job import renew_prior
 from fleet.settings import FleetSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add where the jobs run."""
+    """Add when and where the jobs run."""
+    parser.add_argument(
+        "--at", type=_time_of_day, metavar="HH:MM", help="each day at this time (usual: once, now)"
+    )
     add_sweep_arguments(parser, workers=1)
+
+
+def _time_of_day(text: str) -> tuple[int, int]:
+    try:
+        found = datetime.strptime(text, "%H:%M")
+    except ValueError:
+        raise RequestError(f"--at: {text!r} is no time like 03:00") from None
+    return found.hour, found.minute
 
 
 def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
     """Do the jobs and say what came of each. Errors: DataError, SweepError"""
+    if arguments.at is None:
+        _work(settings, arguments.workers, arguments.dask)
+        return 0
+    ended = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ended.set())
+    while not ended.wait(seconds_until(arguments.at, datetime.now())):
+        try:
+            _work(settings, arguments.workers, arguments.dask)
+        except GreenhouseError as error:  # told; the next night tries again
+            print(f"work: {error}", file=sys.stderr, flush=True)
+    return 0
+
+
+def seconds_until(at: tuple[int, int], now: datetime) -> float:
+    """Return how long it is to the next time of day `at`, more than nothing."""
+    then = now.replace(hour=at[0], minute=at[1], second=0, microsecond=0)
+    return (then - now + timedelta(days=then <= now)).total_seconds()
+
+
+def _work(settings: FleetSettings, workers: int, dask: str | None) -> None:
+    # Late: fits take 100 MB, which a process that waits for the night need not hold.
+    from fleet.jobs.diagnosis_job import diagnose_changed
+    from fleet.jobs.prior_job import renew_prior
+
     engine, utc = open_database(settings.database), time.time()
-    found = diagnose_changed(engine, settings.numbers, utc, arguments.workers, arguments.dask)
-    print(f"diagnosis: of {len(found)} rigs whose twins disagree")
+    found = diagnose_changed(engine, settings.numbers, utc, workers, dask)
+    _say(f"diagnosis: of {len(found)} rigs whose twins disagree")
     for rig, finding in found:
-        print(f"diagnosis: {rig}: {finding.text}")
+        _say(f"diagnosis: {rig}: {finding.text}")
     try:
         done = renew_prior(engine, utc)
     except DataError as error:
-        print(f"prior: {error}")
-        return 0
-    print(f"prior: of {done.boxes} boxes; {done.departures} values are far from their kind's")
-    for rig, reason in done.unread.items():
-        print(f"prior: the twin of {rig} is left out: {reason}")
-    return 0
+        _say(f"prior: {error}")
+    else:
+        _say(f"prior: of {done.boxes} boxes; {done.departures} values are far from their kind's")
+        for rig, reason in done.unread.items():
+            _say(f"prior: the twin of {rig} is left out: {reason}")
+    engine.dispose()
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)

@@ -6,6 +6,7 @@ import yaml
 
 from fleet.machine.places import LOCAL, FleetMachine, FleetPlaces
 from fleet.page.routes import ALERTS
+from fleet.rollout.archives import BUNDLES
 
 HEAD = "# Written by `greenhouse fleet up`; a change by hand is lost.\n"
 # Bytes; a tick has 4 to 6 kB, a rig's description for Home Assistant some 40.
@@ -67,6 +68,10 @@ def settings_file(places: FleetPlaces, machine: FleetMachine) -> str:
             "names": [name for name in machine.names if name not in ("localhost", LOCAL)],
             "alert_token_file": str(places.alert_token),
         },
+        "rollout": {
+            "address": machine.address + BUNDLES,
+            "trusted_keys": str(places.bundle_keys),
+        },
         "mqtt": {
             "enabled": True,
             "host": LOCAL,
@@ -78,5 +83,5 @@ def settings_file(places: FleetPlaces, machine: FleetMachine) -> str:
             "rig": "fleet",
         },
     }
-    head = "# Settings of `greenhouse fleet ingest` and `serve`, written once by `greenhouse fleet up`.\n"
+    head = "# Settings of the fleet's own programs, written once by `greenhouse fleet up`.\n"
     return head + yaml.safe_dump(values, sort_keys=False)

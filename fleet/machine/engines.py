@@ -14,6 +14,7 @@ PACKAGES = {  # program -> Debian package
     "vmalert": "victoria-metrics",
     "caddy": "caddy",
 }
+WORK_AT = "03:00"  # local time
 RETENTION = "3650d"  # as numbers.retention_days
 
 
@@ -54,6 +55,8 @@ def engines(places: FleetPlaces, machine: FleetMachine, python: str = sys.execut
     settings = ("--settings", str(places.settings))
     yield Engine("ingest", "from the broker to numbers and database", (*ours, "ingest", *settings))
     yield Engine("page", "the page and its API", (*ours, "serve", *settings), ports.page)
+    yield Engine("rollouts", "bundles in waves", (*ours, "rollout", *settings, "run"))
+    yield Engine("work", "the jobs of a night", (*ours, "work", "--at", WORK_AT, *settings))
     alerts = (
         _program("vmalert"),
         f"-rule={places.rules}",

@@ -18,6 +18,7 @@ FOLDER = Path("/etc/greenhouse-fleet")
 DATA = Path("/var/lib/greenhouse-fleet")
 USER = "greenhouse-fleet"
 LOCAL = "127.0.0.1"
+HTTPS = 443
 HOST = r"[a-zA-Z0-9.:_-]{1,64}"
 
 
@@ -41,6 +42,12 @@ class FleetMachine(Section):
     host: str = text("", "address at which broker and web listen; empty: all")
     names: tuple[str, ...] = items("names of this machine, in the server's certificate", "fleet.example.org")
     ports: Ports = field(default_factory=Ports)
+
+    @property
+    def address(self) -> str:
+        """Of the page, without a slash at its end."""
+        name, port = self.host or self.names[0], self.ports.web
+        return f"https://{name}" if port == HTTPS else f"https://{name}:{port}"
 
     def cross_check(self) -> None:
         """Check that every name may stand in a certificate."""
@@ -84,6 +91,11 @@ class FleetPlaces:
     def key(self, name: str) -> Path:
         """Return the place of its key."""
         return self.folder / f"{name}.key"
+
+    @property
+    def bundle_keys(self) -> Path:
+        """Folder of public keys whose bundles may be rolled out."""
+        return self.folder / "keys"
 
     @property
     def alert_token(self) -> Path:

@@ -18,6 +18,7 @@ from edge.formats.cross_check import Section, number, text
 from edge.formats.reader import read_yaml
 from fleet.machine.authority import Authority, write_secret
 from fleet.machine.places import FleetMachine, FleetPlaces
+from fleet.rollout.archives import BUNDLES
 
 NAME_OF_RIG = (
     r"[a-zA-Z0-9_-]{1,55}"  # a certificate's name has 64 characters, 9 of which tell two issues apart
@@ -32,7 +33,8 @@ On the rig, as root:
     mkdir -p {home} && tar -xzf {name}.tar.gz -C {home}
     chown -R root:greenhouse {home} && chmod 0750 {home} && chmod 0640 {home}/*
 
-Put the section of {home}/mqtt.yaml into /etc/greenhouse/edge.yaml in place of its section mqtt, then
+Put the section of {home}/mqtt.yaml into /etc/greenhouse/edge.yaml in place of its section mqtt. If the fleet
+shall roll out models to this rig, put the two keys of {home}/bundle.yaml into its section bundle. Then
 
     systemctl restart greenhouse
 
@@ -105,9 +107,11 @@ def pack(places: FleetPlaces, machine: FleetMachine, paper: RigPaper, out: Path)
         "client_key": f"{HOME}/rig.key",
         "rig": paper.name,
     }
+    bundle = {"source": machine.address + BUNDLES, "source_ca": f"{HOME}/ca.crt"}
     files = {
         "README.txt": READ_ME.format(name=paper.name, host=host, home=HOME).encode(),
         "mqtt.yaml": yaml.safe_dump({"mqtt": mqtt}, sort_keys=False).encode(),
+        "bundle.yaml": yaml.safe_dump({"bundle": bundle}, sort_keys=False).encode(),
         "ca.crt": places.authority.read_bytes(),
         "rig.crt": credential.certificate,
         "rig.key": credential.key,

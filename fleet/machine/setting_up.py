@@ -42,6 +42,7 @@ def set_up(places: FleetPlaces, names: Sequence[str], is_try: bool, tell: Tell) 
     machine = _machine(places, names, is_try)
     for store in STORES:
         make_folder(Path(machine.data) / store)
+    make_folder(places.bundle_keys)
     _certify(places, machine, tell)
     if not places.alert_token.exists():
         write_secret(places.alert_token, secrets.token_urlsafe(32).encode())

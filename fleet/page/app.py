@@ -25,6 +25,7 @@ from fleet.page.fleet_page import FleetPage
 from fleet.page.order_desk import OrderDesk
 from fleet.page.people import FleetVisitor, People
 from fleet.page.rig_list import RigList
+from fleet.rollout.archives import BUNDLES
 from fleet.settings import FleetSettings
 
 STATIC = Path(__file__).parent / "static"
@@ -35,6 +36,7 @@ OpenHandler = Callable[[FleetPage, Request], Awaitable[Response]]
 OPEN: tuple[tuple[str, str, OpenHandler], ...] = (
     ("POST", "/api/session", routes.enter),
     ("POST", routes.ALERTS, routes.take_alerts),
+    ("GET", f"{BUNDLES}/{{name}}", routes.bundle),
 )
 API: tuple[tuple[str, str, FleetHandler], ...] = (
     ("DELETE", "/api/session", routes.leave),

@@ -26,6 +26,7 @@ from fleet.page.order_desk import OrderDesk, check, payload_of
 from fleet.page.people import EVERY, FleetVisitor
 from fleet.page.rig_list import Wanted
 from fleet.page.standing import STANDINGS
+from fleet.rollout.archives import SUFFIX, archive_bytes
 
 ALERTS = "/api/v2/alerts"  # Alertmanager's, where vmalert posts
 SEARCH_MAX = 100  # characters
@@ -188,6 +189,15 @@ async def acknowledge(page: FleetPage, request: Request, visitor: FleetVisitor) 
     refuse_below(Role.OPERATE, visitor.role(group))
     await in_thread(page.alarms.acknowledge, place, visitor.name)
     return answer(ok=True)
+
+
+async def bundle(page: FleetPage, request: Request) -> Response:
+    """Return a bundle's archive, to any rig: it is signed, and its hash is its name."""
+    sha256 = request.path_params["name"].removesuffix(SUFFIX)
+    content = await in_thread(archive_bytes, page.engine, sha256)
+    if content is None:
+        raise NotAllowed(HTTPStatus.NOT_FOUND, "there is no such bundle")
+    return Response(content, media_type="application/zip")
 
 
 async def take_alerts(page: FleetPage, request: Request) -> Response:

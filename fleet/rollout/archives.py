@@ -13,6 +13,7 @@ from edge.core.errors import DataError
 from fleet.database.bundles import FleetBundle
 
 SUFFIX = ".zip"
+BUNDLES = "/bundles"  # of the fleet's page
 
 
 def add_archive(engine: Engine, source: Path, keys: Path, utc: float) -> str:

@@ -1,11 +1,13 @@
 """`greenhouse fleet`: found beside the daemon's commands, and what it says where it can do nothing."""
 
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 from sqlalchemy.orm import Session
 
 from edge.__main__ import main
+from fleet.commands.work import seconds_until
 from fleet.database.base import open_database
 from fleet.database.rigs import FleetRig
 from fleet.settings import DatabaseSettings
@@ -56,3 +58,18 @@ def test_a_package_that_is_missing_is_named(
     monkeypatch.delitem(__import__("sys").modules, "fleet.database.base", raising=False)
     assert call(monkeypatch, "rigs", "--settings", str(settings_file(tmp_path))) == 2
     assert "pip install 'greenhouse-twin[fleet]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("at", "now", "hours"), [((3, 0), "02:00", 1.0), ((3, 0), "03:00", 24.0), ((3, 0), "04:30", 22.5)]
+)
+def test_the_next_night_begins_at_its_time(at: tuple[int, int], now: str, hours: float) -> None:
+    moment = datetime.strptime(f"2026-01-31 {now}", "%Y-%m-%d %H:%M")
+    assert seconds_until(at, moment) == 3600.0 * hours
+
+
+def test_a_time_that_is_none_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(monkeypatch, "work", "--at", "25:00", "--settings", str(settings_file(tmp_path))) == 2
+    assert "--at: '25:00' is no time like 03:00" in capsys.readouterr().err

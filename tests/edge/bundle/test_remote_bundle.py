@@ -1,6 +1,8 @@
 """A fleet's orders about bundles: obeyed for one address and trusted signatures alone."""
 
 import hashlib
+import io
+import ssl
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -10,6 +12,7 @@ from typing import Any
 
 import pytest
 from bundles import Workshop, make_store
+from certificates import make_certificates
 
 from bench.support.broker import wait_for
 from edge.bundle import remote
@@ -23,8 +26,8 @@ from edge.core.messages import Event
 
 
 @contextmanager
-def serving(files: dict[str, bytes], moved: str = "") -> Iterator[str]:
-    """The address of a server of these files; `moved` is answered for every other path."""
+def serving(files: dict[str, bytes], moved: str = "", papers: Path | None = None) -> Iterator[str]:
+    """The address of a server of these files; `moved` is answered for every other path. papers : for https"""
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -39,10 +42,14 @@ def serving(files: dict[str, bytes], moved: str = "") -> Iterator[str]:
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    if papers is not None:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(papers / "broker.crt", papers / "broker.key")
+        server.socket = context.wrap_socket(server.socket, server_side=True)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))
     thread.start()
     try:
-        yield f"http://127.0.0.1:{server.server_address[1]}"
+        yield f"{'https' if papers else 'http'}://127.0.0.1:{server.server_address[1]}"
     finally:
         server.shutdown()
         server.server_close()
@@ -54,7 +61,8 @@ class OrderedRig:
 
     def __init__(self, store: BundleStore, source: str) -> None:
         self.store, self.told = store, list[Event]()
-        self.keeper = BundleKeeper(store, RealClock(), automatic=False, trial_ticks=10, source=source)
+        place = remote.BundleSource(source)
+        self.keeper = BundleKeeper(store, RealClock(), automatic=False, trial_ticks=10, source=place)
 
     def close(self) -> None:
         self.keeper.close()
@@ -96,6 +104,23 @@ def test_a_signed_bundle_from_the_source_is_activated_once_and_rolled_back_once(
     assert [event.key for event in rig.told] == ["bundle.remote-install"] * 2 + ["bundle.remote-rollback"] * 2
     assert rig.told[0].text.startswith(f"sha256 {digest}, asked for; 1.0 is active")
     assert rig.told[2].text.startswith("bundle 1.0, asked for; packaged is active")
+
+
+def test_the_authority_of_the_source_is_that_of_the_settings(workshop: Workshop, tmp_path: Path) -> None:
+    archive, papers = workshop.archive("1.0"), make_certificates(tmp_path / "papers")
+
+    def fetched(authority: str) -> bytes:
+        into = io.BytesIO()
+        with serving({"/1.zip": archive.read_bytes()}, papers=papers) as at:
+            remote.fetch(f"{at}/1.zip", sha256(archive), into, authority)
+        return into.getvalue()
+
+    assert fetched(str(papers / "ca.crt")) == archive.read_bytes()
+    for authority in ("", str(papers / "stranger.crt")):
+        with pytest.raises(DataError, match="CERTIFICATE_VERIFY_FAILED"):
+            fetched(authority)
+    with pytest.raises(DataError, match=r"bundle\.source_ca: .*nowhere"):
+        fetched(str(tmp_path / "nowhere"))
 
 
 def test_a_bundle_that_no_trusted_key_signed_is_refused(workshop: Workshop, tmp_path: Path) -> None:
@@ -180,4 +205,4 @@ def test_a_rig_without_a_source_takes_no_orders(workshop: Workshop, action: str)
 )
 def test_an_address_elsewhere_is_refused_before_anything_is_fetched(url: str | None) -> None:
     with pytest.raises(RequestError, match=r"no file directly under bundle\.source"):
-        remote.install_order("http://fleet.example/b", url, "0" * 64)
+        remote.install_order(remote.BundleSource("http://fleet.example/b"), url, "0" * 64)

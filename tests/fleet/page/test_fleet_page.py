@@ -1,19 +1,23 @@
 """The fleet's page: who sees and orders what, in which group; what strangers and liars get."""
 
+import io
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from bundles import Workshop
 from fleet_pages import PASSWORD, STATE, TOKEN, FleetPageOfTest, fleet_page
 from sqlalchemy.orm import Session
 
 from bench.support.broker import free_port
 from bench.support.page_process import Client, cookie_of
+from edge.bundle.remote import fetch
 from edge.page.access import Role
 from edge.page.password_tries import TRIES
 from fleet.database.base import open_database
 from fleet.database.twins import Departure, ToldTwin
+from fleet.rollout.archives import add_archive, archive_url
 from fleet.settings import NumbersSettings
 
 EVIL = '<img src=x onerror="alert(1)">'
@@ -23,6 +27,12 @@ EVIL = '<img src=x onerror="alert(1)">'
 def page(tmp_path: Path) -> Iterator[FleetPageOfTest]:
     with fleet_page(tmp_path, numbers=NumbersSettings(url=f"http://127.0.0.1:{free_port()}")) as running:
         yield running
+
+
+@pytest.fixture
+def workshop(tmp_path: Path) -> Workshop:
+    (tmp_path / "workshop").mkdir()
+    return Workshop(tmp_path / "workshop")
 
 
 def names(client: Client, query: str = "") -> list[str]:
@@ -246,6 +256,16 @@ def test_the_newest_twin_and_where_it_is_unlike_its_kind_are_shown(page: FleetPa
         session.add(Departure(rig="a-1", **unlike))
     found = ann.get("/api/rigs/a-1").json()["twin"]
     assert found == {"bundle": "b-7", "utc": 1.7e9, "effects": effects, "departures": [unlike]}
+
+
+def test_a_bundle_is_handed_to_any_rig_by_its_hash(page: FleetPageOfTest, workshop: Workshop) -> None:
+    archive = workshop.archive("1.0")
+    sha256 = add_archive(open_database(page.settings.database), archive, workshop.trusted, 1.0)
+    into, place = io.BytesIO(), archive_url(f"{page.base}/bundles", sha256)
+    fetch(place, sha256, into)
+    assert into.getvalue() == archive.read_bytes()
+    for name in (f"{'0' * 64}.zip", "x", f"{sha256}.zip.zip"):
+        assert page.client().get(f"/bundles/{name}").status_code == 404
 
 
 def test_numbers_that_cannot_be_read_are_an_error_with_its_place(page: FleetPageOfTest) -> None:

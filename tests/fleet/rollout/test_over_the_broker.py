@@ -21,6 +21,7 @@ from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, record, settings
 from edge.bundle import remote
 from edge.bundle.keeper import BundleKeeper
+from edge.bundle.remote import BundleSource
 from edge.config.settings import MqttSettings
 from edge.core.clock import RealClock
 from edge.core.errors import DataError
@@ -113,7 +114,8 @@ def test_rigs_obey_a_rollout_and_its_end_over_the_broker(workshop: Workshop, tmp
         for name in RIGS:
             (tmp_path / name).mkdir()
             store = make_store(replace_folder(workshop, tmp_path / name))
-            keeper = BundleKeeper(store, RealClock(), automatic=False, trial_ticks=10, source=at)
+            source = BundleSource(at)
+            keeper = BundleKeeper(store, RealClock(), automatic=False, trial_ticks=10, source=source)
             rigs[name] = BundleRig(name, broker.port, keeper)
             stack.callback(rigs[name].close)
         line = MqttRigLine(MqttSettings(host="127.0.0.1", port=broker.port, rig="fleet"))
