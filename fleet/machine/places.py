@@ -45,7 +45,7 @@ class FleetMachine(Section):
 
     @property
     def address(self) -> str:
-        """Of the page, without a slash at its end."""
+        """The page, without a slash at the end."""
         name, port = self.host or self.names[0], self.ports.web
         return f"https://{name}" if port == HTTPS else f"https://{name}:{port}"
 

@@ -70,7 +70,7 @@ def serving_archives(engine: Engine) -> Iterator[str]:
         thread.join()
 
 
-class BundleRig:
+class ObeyingRig:
     """The part of a daemon that obeys a fleet: telemetry and the keeper of bundles."""
 
     def __init__(self, name: str, port: int, keeper: BundleKeeper) -> None:
@@ -116,7 +116,7 @@ def test_rigs_obey_a_rollout_and_its_end_over_the_broker(workshop: Workshop, tmp
             store = make_store(replace_folder(workshop, tmp_path / name))
             source = BundleSource(at)
             keeper = BundleKeeper(store, RealClock(), automatic=False, trial_ticks=10, source=source)
-            rigs[name] = BundleRig(name, broker.port, keeper)
+            rigs[name] = ObeyingRig(name, broker.port, keeper)
             stack.callback(rigs[name].close)
         line = MqttRigLine(MqttSettings(host="127.0.0.1", port=broker.port, rig="fleet"))
         stack.callback(line.close)
