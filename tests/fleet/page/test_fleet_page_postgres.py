@@ -1,0 +1,57 @@
+"""The fleet's page over PostgreSQL: people, rigs, orders, alarms, and a database that is away for a while."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fleet_pages import TOKEN, FleetPageOfTest, fleet_page
+
+from bench.support.broker import wait_for
+from bench.support.postgres import Postgres, needs_postgres
+from edge.page.access import Role
+from fleet.settings import DatabaseSettings
+
+pytestmark = needs_postgres
+
+
+@pytest.fixture
+def postgres() -> Iterator[Postgres]:
+    with Postgres() as running:
+        yield running
+
+
+@pytest.fixture
+def page(tmp_path: Path, postgres: Postgres) -> Iterator[FleetPageOfTest]:
+    with fleet_page(tmp_path, database=DatabaseSettings(url=postgres.url)) as running:
+        yield running
+
+
+def test_people_rigs_and_alarms_are_as_over_sqlite(page: FleetPageOfTest) -> None:
+    page.add_rig("a-1", "north", "tent")
+    page.add_rig("b-1", "south", "tent", last_utc=time.time() - 900.0)
+    ann = page.client("Ann", "north", Role.OPERATE)
+    assert [rig["name"] for rig in ann.get("/api/rigs").json()["rigs"]] == ["a-1"]
+    assert ann.get("/api/rigs/b-1").status_code == 404
+    labels = {"alertname": "rig_silent", "rig": "a-1", "severity": "alarm"}
+    alert = {"labels": labels, "annotations": {"text": "silent"}, "endsAt": "2100-01-01T00:00:00Z"}
+    word = {"authorization": f"Bearer {TOKEN}"}
+    for _ in range(2):
+        assert page.client().post("/api/v2/alerts", [alert], **word).ok
+    (alarm,) = ann.get("/api/alarms?lasting=1").json()["alarms"]
+    assert ann.post(f"/api/alarms/{alarm['id']}/acknowledge").ok
+    assert ann.get("/api/alarms").json()["alarms"][0]["seen_by"] == "Ann"
+    page.people.remove("Ann")
+    assert ann.get("/api/me").status_code == 401
+
+
+def test_a_database_that_was_away_is_an_error_with_a_reason_and_then_forgotten(
+    page: FleetPageOfTest, postgres: Postgres
+) -> None:
+    ann = page.client("Ann")
+    postgres.kill()
+    away = ann.get("/api/rigs")
+    assert away.status_code == 503
+    assert away.json()["error"].startswith("the database does not answer")
+    postgres.start()
+    wait_for(lambda: ann.get("/api/rigs").ok, "the page's answer after the database's", 60.0)
