@@ -52,6 +52,10 @@ def papers(places: FleetPlaces, name: str, folder: str = "") -> Path:
     home = places.folder.parent / (folder or name)
     with tarfile.open(out) as archive:
         archive.extractall(home, filter="data")
+    # The broker reads its list some tenths of a second after it was asked to.
+    with connected(places.read().ports.broker, context(home), f"probe-{home.name}") as probe:
+        own = f"greenhouse/{name}/event"
+        wait_for(lambda: answer(probe, own) != "Not authorized", f"the rights of {name}")
     return home
 
 
