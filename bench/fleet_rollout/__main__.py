@@ -59,6 +59,10 @@ class SimulatedFleet:
         self.told.append(News(rig, f"bundle.{remote.ROLL_BACK}", f"bundle {version}, asked for"))
         return True
 
+    def hears(self) -> bool:
+        """Return True."""
+        return True
+
     def news(self) -> list[News]:
         """Return what the rigs told."""
         return self.told

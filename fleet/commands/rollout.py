@@ -74,7 +74,9 @@ def _serve(settings: FleetSettings, engine: Engine) -> None:
             signal.signal(number, end)
     line = MqttRigLine(settings.mqtt, awake.set)
     try:
-        runner = RolloutRunner(engine, settings.rollout.address, line, costs_from(settings.numbers))
+        runner = RolloutRunner(
+            engine, settings.rollout.address, line, costs_from(settings.numbers), time.time()
+        )
         said = ""
         while not ended.is_set():
             for text in runner.look(time.time()):

@@ -31,6 +31,10 @@ class RigLine(Protocol):
         """Send an order; False where it can't be sent now."""
         ...
 
+    def hears(self) -> bool:
+        """Return whether rigs can be heard now."""
+        ...
+
     def news(self) -> list[News]:
         """Return what was heard since the last call."""
         ...
@@ -76,6 +80,10 @@ class MqttRigLine:
     def roll_back(self, rig: str, version: str) -> bool:
         """Order a rig to leave a bundle."""
         return self._send(f"{rig}/set/rollback_bundle", {"version": version})
+
+    def hears(self) -> bool:
+        """Return whether rigs can be heard now."""
+        return self._can_hear
 
     def news(self) -> list[News]:
         """Return what was heard since the last call."""

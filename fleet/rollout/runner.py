@@ -28,14 +28,23 @@ SETTLE_S = 3600.0  # after a change a controller's estimate and the box come to 
 
 
 class RolloutRunner:
-    """Looks at everything at each call of `look`. address : `rollout.address`"""
+    """Looks at everything at each call of `look`.
 
-    def __init__(self, engine: Engine, address: str, line: RigLine, costs: Costs) -> None:
+    address : `rollout.address`; hearing_utc : since when rigs are heard; 0.0: since ever
+    """
+
+    def __init__(
+        self, engine: Engine, address: str, line: RigLine, costs: Costs, hearing_utc: float = 0.0
+    ) -> None:
+        self._hearing_utc = hearing_utc
         self._engine, self._address, self._line, self._costs = engine, address, line, costs
         self.problem = ""  # why numbers could not be read at the last look
 
     def look(self, utc: float) -> list[str]:
-        """Do all that is due and return what happened, a line each."""
+        """Do all that is due and return what happened, a line each; nothing while rigs can't be heard."""
+        if not self._line.hears():
+            self._hearing_utc = utc
+            return []
         self.problem = ""
         told: list[str] = []
         with Session(self._engine) as session, session.begin():
@@ -63,7 +72,7 @@ class RolloutRunner:
 
     def _advance(self, session: Session, rollout: BundleRollout, utc: float) -> list[str]:
         """Take the next step of a rollout that runs."""
-        if why := harm(rigs_of(session, rollout), utc):
+        if why := harm(rigs_of(session, rollout), utc, self._hearing_utc):
             return [self._stop(session, rollout, why, utc)]
         wave = session.get(RolloutWave, (rollout.number, rollout.wave))
         if wave is None or wave.state == WaveState.PASSED:

@@ -93,24 +93,31 @@ def _take_event(row: RolloutRig, news: News, utc: float) -> None:
         row.fault, row.fault_utc, row.why = "", None, ""
 
 
-def complaint(row: RolloutRig, utc: float) -> str:
-    """Return why a rig counts as unhealthy, "" if it does not."""
+def complaint(row: RolloutRig, utc: float, hearing_utc: float = 0.0) -> str:
+    """Return why a rig counts as unhealthy, "" if it does not.
+
+    hearing_utc : since when rigs are heard without a gap: what lasted while nobody listened may be over
+    """
+
+    def lasted_s(since_utc: float) -> float:
+        return utc - max(since_utc, hearing_utc)
+
     if row.state == RigState.REFUSED:
         return f"refused: {row.why}"
     if row.state not in OPEN:
         return ""
-    if row.offline_utc is not None and utc - row.offline_utc > OFFLINE_MAX_S:
+    if row.offline_utc is not None and lasted_s(row.offline_utc) > OFFLINE_MAX_S:
         return "offline"
-    if row.state == RigState.ORDERED and utc - row.since_utc > ANSWER_MAX_S:
+    if row.state == RigState.ORDERED and lasted_s(row.since_utc) > ANSWER_MAX_S:
         return f"has not obeyed within {ANSWER_MAX_S / 60.0:g} min{f': {row.why}' if row.why else ''}"
-    if row.fault in AT_ONCE or (row.fault_utc is not None and utc - row.fault_utc > FAULT_MAX_S):
+    if row.fault in AT_ONCE or (row.fault_utc is not None and lasted_s(row.fault_utc) > FAULT_MAX_S):
         return f"{row.fault}: {row.why}"
     return ""
 
 
-def harm(rows: Sequence[RolloutRig], utc: float) -> str:
+def harm(rows: Sequence[RolloutRig], utc: float, hearing_utc: float = 0.0) -> str:
     """Return why unhealthy rigs stop a rollout, "" where they are no more than fail by themselves."""
-    found = {row.rig: said for row in rows if (said := complaint(row, utc))}
+    found = {row.rig: said for row in rows if (said := complaint(row, utc, hearing_utc))}
     if len(found) <= int(UNHEALTHY_SHARE * len(rows)):
         return ""
     rig, said = next(iter(sorted(found.items())))

@@ -38,6 +38,7 @@ class FleetInMemory:
     dearer: dict[str, float] = field(default_factory=dict)
     refuses: set[str] = field(default_factory=set)
     silent: set[str] = field(default_factory=set)
+    deaf: bool = False
     utc: float = BEGIN_UTC
     told: list[News] = field(default_factory=list)
     heard: list[News] = field(default_factory=list)
@@ -79,6 +80,9 @@ class FleetInMemory:
             self.active.pop(rig, None)
             self.told.append(News(rig, f"bundle.{remote.ROLL_BACK}", f"bundle {version}, asked for; 1.0 is"))
         return True
+
+    def hears(self) -> bool:
+        return not self.deaf
 
     def news(self) -> list[News]:
         return list(self.told)

@@ -99,6 +99,22 @@ def test_a_rig_that_does_not_answer_is_asked_again_and_stops_it_in_the_end(tmp_p
     assert len(asked) >= 2 * len(set(asked))
 
 
+def test_what_lasted_while_nobody_listened_counts_from_then_on(tmp_path: Path) -> None:
+    fleet = FleetInMemory(tmp_path)
+    fleet.run(hours=1.0)
+    fleet.told.append(News(sorted(fleet.active)[0], "offline"))
+    fleet.look()
+    runner = RolloutRunner(fleet.engine, SETTINGS.address, fleet, fleet.costs)
+    fleet.deaf = True
+    fleet.utc += 10 * 3600.0
+    runner.look(fleet.utc)
+    fleet.deaf = False
+    runner.look(fleet.utc + 60.0)
+    assert fleet.state().state == "running"
+    runner.look(fleet.utc + 2400.0)
+    assert fleet.state().state == "stopped"
+
+
 def test_a_bundle_that_cannot_be_fetched_is_not_taken_for_a_bad_one(tmp_path: Path) -> None:
     fleet = FleetInMemory(tmp_path)
     fleet.silent = {f"tent-{number}" for number in range(12)}
