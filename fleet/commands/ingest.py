@@ -2,11 +2,14 @@
 
 import argparse
 import signal
+import sys
 import threading
 from pathlib import Path
 
-from fleet.database.base import open_database
-from fleet.ingest.loop import Ingest
+from sqlalchemy.exc import SQLAlchemyError
+
+from fleet.database.base import DatabaseAway, open_database
+from fleet.ingest.loop import RETRY_MAX_S, Ingest
 from fleet.settings import FleetSettings
 
 
@@ -16,9 +19,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
-    """Run until SIGTERM or SIGINT. Errors: ConfigError, DataError"""
+    """Run until SIGTERM or SIGINT; wait for a database that is away. Errors: ConfigError, DataError"""
     ended = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
-    Ingest(settings, open_database(settings.database), arguments.journal).run(ended)
+    while not ended.is_set():
+        try:
+            service = Ingest(settings, open_database(settings.database), arguments.journal)
+        except (DatabaseAway, SQLAlchemyError) as error:
+            print(f"ingest: {error}; again in {RETRY_MAX_S:g} s", file=sys.stderr, flush=True)
+            ended.wait(RETRY_MAX_S)
+        else:
+            service.run(ended)
+            break
     return 0
