@@ -2,7 +2,8 @@
 
 A fleet of 60 boxes of three kinds for each seed. The bundle "good" is learnt from more boxes than the one
 that runs, and keeps its models for the kinds in which they are cheaper; in "bad" the model of one kind lacks
-a quarter of the loss; "same" is what runs, once more.
+a quarter of the loss, or as much more as makes the kind's median box dearer by a quarter; "same" is what
+runs, once more.
 The runner of `fleet.rollout` spreads them, on a database, over boxes whose costs were simulated before: those
 of the generator, linearised, driven by the bundle's model and a proportional correction, not by the daemon.
 """

@@ -26,7 +26,10 @@ Floats = NDArray[np.float64]
 KINDS, OF_KIND = 3, 20
 HOURS = 24 * 16
 HOUR_STEPS = round(3600.0 / STEP_S)
-LACKING = 0.25  # of the loss of one kind, which the bad bundle's model does not know
+# Shares of the loss of one kind, which the bad bundle's model does not know: the first that makes it bad. A
+# bundle by which a kind is dearer by no more than the margin may pass.
+LACKING = (0.25, 0.5, 0.75)
+BAD = 0.25  # share by which the median box of the kind is dearer
 RAMP_H = 3.0  # from night to day and back
 LEARNT_FROM = (2, 20)  # boxes of a kind that the old bundle was made from, and the new one
 BUNDLES = ("old", "good", "bad")
@@ -84,7 +87,7 @@ def simulate(seed: int, names: Sequence[str] = BUNDLES) -> SimulatedCosts:
         )
         models["old"] += [old] * OF_KIND
         models["good"] += [new] * OF_KIND
-        models["bad"] += [new.lacking(LACKING) if kind == bad else new] * OF_KIND
+        models["bad"] += [new.lacking(LACKING[0]) if kind == bad else new] * OF_KIND
     around, reference = _surroundings(facts, seed), _references(facts, rng)
     # A person sets the proportional gain once for a kind: no bundle changes it.
     gains = np.repeat([damped_gain(drawn[OF_KIND][1]) for drawn in kinds.values()], OF_KIND)
@@ -95,9 +98,23 @@ def simulate(seed: int, names: Sequence[str] = BUNDLES) -> SimulatedCosts:
             FleetLoop(facts, boxes, models[bundle], gains, around, reference), bool(learns), seed
         )
     members = [kind for kind in kinds for _ in range(OF_KIND)]
+    hurt = np.array(members) == bad
+    for lacking in LACKING[1:]:
+        if "bad" not in costs or np.median(_dearer(costs)[hurt]) > BAD:
+            break
+        worse = [
+            model.lacking(lacking) if is_hurt else model
+            for model, is_hurt in zip(models["good"], hurt, strict=True)
+        ]
+        costs["bad"] = closed_loop(FleetLoop(facts, boxes, worse, gains, around, reference), False, seed)
     if "good" in costs:
         _keep_better(np.array(members), bad, costs)
     return SimulatedCosts(members, bad, costs)
+
+
+def _dearer(costs: Mapping[str, Floats]) -> Floats:
+    """Return by which share the bad bundle is dearer than the old one, by box."""
+    return np.asarray(costs["bad"].mean(axis=1) / costs["old"].mean(axis=1) - 1.0)
 
 
 def _keep_better(members: NDArray[np.str_], bad: str, costs: dict[str, Floats]) -> None:

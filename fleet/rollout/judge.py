@@ -17,8 +17,10 @@ from fleet.rollout.betting import evidence_above, evidence_below
 HOUR_S = 3600.0
 DAY_H = 24
 BLOCK_H = 1  # hours that make one value
-# A box that is dearer or cheaper by more than this share counts as this share, so no odd box decides.
-BOUND = 0.3
+# A box that is dearer or cheaper by more than this share counts as this share: of the six that a wave has at
+# least, an odd one alone moves the mean by the usual margin. A bound of 0.3 let a bundle pass that made three
+# boxes of four much dearer and the fourth cheaper.
+BOUND = 0.6
 SMALLEST_COST = 0.02  # a step [1]: below it, a share of the cost says nothing about a box
 COMPARED_LEAST = 2  # boxes on each side
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import ceil
 
 SHARES = (0.01, 0.10, 1.0)  # of each kind that has the bundle after a wave
-LEAST_OF_KIND = 4  # new rigs of a kind in a wave: fewer tell bundles and boxes hardly apart
+LEAST_OF_KIND = 6  # new rigs of a kind in a wave: of four, all may be of the few that a bad bundle suits
 
 
 @dataclass(frozen=True, slots=True)

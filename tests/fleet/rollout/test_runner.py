@@ -34,7 +34,7 @@ def test_a_bundle_that_is_bad_for_one_kind_stops_in_the_first_wave_and_is_rolled
     fleet.look()
     assert fleet.active == {}
     back = {rig for rig, order in fleet.orders if order == "roll back"}
-    assert len(back) == 12
+    assert len(back) == 18
     assert {fleet.rig(rig).state for rig in back} == {"rolled back"}
 
 
@@ -43,7 +43,7 @@ def test_a_refused_proof_stops_at_once_and_names_the_rig(tmp_path: Path) -> None
     fleet.refuses = {f"tent-{number}" for number in range(12)}
     found = fleet.run(hours=3.0)
     assert found.state == "stopped"
-    assert "4 of 12 rigs are unhealthy; tent-" in found.why
+    assert "6 of 18 rigs are unhealthy; tent-" in found.why
     assert "golden vector 3 is off" in found.why
     assert fleet.active == {}
 
@@ -55,7 +55,7 @@ def test_a_rig_that_falls_silent_after_the_install_stops_it(tmp_path: Path) -> N
     fleet.told.append(News(rig, "offline"))
     fleet.silent.add(rig)
     found = fleet.run(hours=2.0)
-    assert (found.state, found.why) == ("stopped", f"1 of 12 rigs are unhealthy; {rig}: offline")
+    assert (found.state, found.why) == ("stopped", f"1 of 18 rigs are unhealthy; {rig}: offline")
     # its order waits, and is sent once more as soon as it is there again
     assert (fleet.rig(rig).state, list(fleet.active)) == ("rolling back", [rig])
     fleet.silent.clear()
@@ -87,7 +87,7 @@ def test_a_rig_that_leaves_the_bundle_or_falls_back_for_long_stops_it(
     rig = sorted(fleet.active)[0]
     fleet.told.append(News(rig, what, "why"))
     found = fleet.run(hours=hours)
-    assert (found.state, found.why) == ("stopped", f"1 of 12 rigs are unhealthy; {rig}: {what}: why")
+    assert (found.state, found.why) == ("stopped", f"1 of 18 rigs are unhealthy; {rig}: {what}: why")
 
 
 def test_a_rig_that_does_not_answer_is_asked_again_and_stops_it_in_the_end(tmp_path: Path) -> None:

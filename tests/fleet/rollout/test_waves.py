@@ -14,9 +14,9 @@ def test_a_large_fleet_goes_by_shares() -> None:
     assert wave_size(3, 2000, 200, 1800) == 1800
 
 
-def test_a_small_kind_has_four_new_boxes_in_each_wave_and_as_many_wait() -> None:
-    assert wave_size(1, 20, 0, 20) == 4
-    assert wave_size(2, 20, 4, 16) == 4
+def test_a_small_kind_has_six_new_boxes_in_each_wave_and_as_many_wait() -> None:
+    assert wave_size(1, 20, 0, 20) == 6
+    assert wave_size(2, 20, 6, 14) == 6
     assert wave_size(1, 6, 0, 6) == 3
     assert wave_size(1, 1, 0, 1) == 0
     assert wave_size(3, 1, 0, 1) == 1
@@ -27,8 +27,8 @@ def test_a_wave_is_chosen_within_each_kind_and_the_same_at_each_call() -> None:
     first = choose_wave(1, kinds, {}, "rollout 1")
     assert first == choose_wave(1, kinds, {}, "rollout 1")
     assert first != choose_wave(1, kinds, {}, "rollout 2")
-    assert sorted(name.partition("-")[0] for name in first) == ["case"] * 4 + ["tent"] * 4
-    assert len(set(first)) == 8
+    assert sorted(name.partition("-")[0] for name in first) == ["case"] * 6 + ["tent"] * 6
+    assert len(set(first)) == 12
 
 
 def test_all_rigs_have_had_their_turn_after_the_last_wave() -> None:
