@@ -13,8 +13,8 @@ import numpy as np
 from edge.core.errors import DataError
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.twin_file import Place, TwinFile
-from edge.twin.value import Value
-from fleet.priors.population import Population, fit_population
+from edge.twin.value import SDS_95, Value
+from fleet.priors.population import LEAST_SD, Population, ValuePrior, fit_population
 from fleet.priors.shared_structure import in_structure
 
 LIKELY = 0.5  # an effect that is rarer among boxes of the kind is not begun with
@@ -23,6 +23,8 @@ ALWAYS = ("wall_loss", "extra_capacity")
 BY_FAN = {"exhaust": ("fan_effectiveness",), "stirring": ("stirred_loss",), "none": ()}
 SAME_ANSWER = {"wall_mass": "soil_mass"}  # told as the one that keeps the loss as a value of its own
 OF_BOX = ("soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "heater_saturation", "heater_sag")
+ANSWERS_ALIKE = {"soil_mass": "wall_mass", "wall_loss": "wall_mass"}
+UNTOLD_SD = 1.5  # as a share, of a value of which a twin says nothing
 FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 KEPT_BOXES = 4096  # in memory
 LEAST_SHARE = 1e-6  # of what is usual: the logarithm needs more than nothing
@@ -83,9 +85,9 @@ class FleetPrior:
         found = []
         for name, own in _shared_values(sheet, self.structure(sheet.kind)).items():
             about = self.values[name].of_kind(sheet.kind)
-            spreads = (own - about.mean) / about.sd
+            spreads = (own.mean - about.mean) / np.hypot(about.sd, own.sd)
             if abs(spreads) > FAR_SPREADS:
-                found.append(FarValue(*name, float(np.exp(own - about.mean)), float(spreads)))
+                found.append(FarValue(*name, float(np.exp(own.mean - about.mean)), float(spreads)))
         return found
 
     def _value(self, file: TwinFile, place: Place, kind: str) -> Value | None:
@@ -102,24 +104,47 @@ def fit_prior(sheets: Sequence[BoxSheet]) -> FleetPrior:
     if not sheets:
         raise DataError("no box has told its twin yet")
     shares = _shares(sheets)
-    found: dict[tuple[str, str], list[tuple[float, str]]] = {}
+    found: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
     for sheet in sheets:
-        for name, value in _shared_values(sheet, _likely(shares[sheet.kind])).items():
-            found.setdefault(name, []).append((value, sheet.kind))
+        for name, told in _shared_values(sheet, _likely(shares[sheet.kind])).items():
+            found.setdefault(name, []).append((told.mean, told.sd, sheet.kind))
     values = {name: fit_population(*zip(*own, strict=True)) for name, own in found.items()}
     return FleetPrior(shares, values)
 
 
 # Seconds a box; priors of two days, or with one box left out, share most of them.
 @lru_cache(maxsize=KEPT_BOXES)
-def _shared_values(sheet: BoxSheet, names: tuple[str, ...]) -> dict[tuple[str, str], float]:
+def _shared_values(sheet: BoxSheet, names: tuple[str, ...]) -> dict[tuple[str, str], ValuePrior]:
     """Return the values of a box in the structure of its kind, as logarithms of shares of the usual."""
     shared = in_structure(sheet.twin, bare(sheet.twin), names).file
     shares = {
         (place[1], place[2]): shared.values()[place].value / shared.usual(place).start
         for place in _places(shared)
     }
-    return {name: float(np.log(max(share, LEAST_SHARE))) for name, share in shares.items()}
+    return {
+        name: ValuePrior(float(np.log(max(share, LEAST_SHARE))), _told_sd(sheet.twin, *name))
+        for name, share in shares.items()
+    }
+
+
+def _told_sd(twin: TwinFile, effect: str, parameter: str) -> float:
+    """Return how well a box's own twin knows a value, as a share of it.
+
+    Where the twin has another effect that answers alike, as well as it knows the worst of that one's values.
+    """
+    own = twin.effects.get(effect, {})
+    if parameter in own:
+        return _relative_sd(own[parameter])
+    alike = twin.effects.get(ANSWERS_ALIKE.get(effect, ""), {})
+    return max(map(_relative_sd, alike.values()), default=UNTOLD_SD)
+
+
+def _relative_sd(value: Value) -> float:
+    if value.low is None or value.high is None or not value.value > 0.0:
+        return LEAST_SD
+    if value.low > 0.0:
+        return max(LEAST_SD, float(np.log(value.high / value.low)) / (2.0 * SDS_95))
+    return max(LEAST_SD, (value.high - value.low) / value.value / (2.0 * SDS_95))
 
 
 def bare(twin: TwinFile) -> TwinFile:

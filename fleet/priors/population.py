@@ -1,8 +1,9 @@
 """A hierarchical normal model of values: boxes about their kind, kinds about the fleet.
 
-y = fleet mean + kind + box, each normal, by expectation and maximisation (Dempster, Laird & Rubin 1977).
-A box far from its kind weighs less (Student's t as a scale mixture, Lange, Little & Taylor 1989, JASA 84), so
-one odd box does not widen what all others tell.
+y = fleet mean + kind + box + error, each normal, by expectation and maximisation (Dempster, Laird & Rubin
+1977). The error is what the box's own twin says of its value, so a value that its tests hardly told says
+hardly anything. A box far from its kind weighs less (Student's t as a scale mixture, Lange, Little & Taylor
+1989, JASA 84), so one odd box does not widen what all others tell.
 """
 
 from collections.abc import Sequence
@@ -46,17 +47,18 @@ class Population:
         return ValuePrior(about.mean, float(np.hypot(about.sd, self.within)))
 
 
-def fit_population(values: Sequence[float], kinds: Sequence[str]) -> Population:
-    """Fit it to values [n], of one or more boxes each of a kind [n]."""
-    y, names = np.asarray(values, dtype=np.float64), sorted(set(kinds))
+def fit_population(values: Sequence[float], errors: Sequence[float], kinds: Sequence[str]) -> Population:
+    """Fit it to values [n] with standard deviations of their errors [n], of boxes each of a kind [n]."""
+    y, variances = np.asarray(values, dtype=np.float64), np.square(np.asarray(errors, dtype=np.float64))
+    names = sorted(set(kinds))
     member = np.array([[kind == name for kind in kinds] for name in names], dtype=np.float64)
     mean, between, within = float(np.median(y)), USUAL_BETWEEN, USUAL_WITHIN
     weights = np.ones(len(y))
     for _ in range(ROUNDS):
-        centre, variance = _kinds(y, member * weights, mean, between, within)
-        off = y - member.T @ centre
-        uncertain = member.T @ variance
-        squares = off**2 + uncertain
+        own = within**2 / weights  # of a box about its kind
+        centre, variance = _kinds(y, member / (own + variances), mean, between)
+        told = own / (own + variances)  # share of what is off that is the box's, not an error
+        squares = told**2 * ((y - member.T @ centre) ** 2 + member.T @ variance) + told * variances
         weights = (FREEDOM + 1.0) / (FREEDOM + squares / within**2)
         mean = float(np.mean(centre))
         between = _spread((centre - mean) ** 2 + variance, USUAL_BETWEEN)
@@ -71,8 +73,8 @@ def _spread(squares: Floats, usual: float) -> float:
     return max(float(np.sqrt(variance)), LEAST_SD)
 
 
-def _kinds(y: Floats, weights: Floats, mean: float, between: float, within: float) -> tuple[Floats, Floats]:
-    """Return mean and variance of each kind's mean, given the rest. weights : [kinds, n]"""
-    precision = 1.0 / between**2 + weights.sum(axis=1) / within**2
-    centre = (mean / between**2 + weights @ y / within**2) / precision
+def _kinds(y: Floats, precisions: Floats, mean: float, between: float) -> tuple[Floats, Floats]:
+    """Return mean and variance of each kind's mean, given the rest. precisions : [kinds, n]"""
+    precision = 1.0 / between**2 + precisions.sum(axis=1)
+    centre = (mean / between**2 + precisions @ y) / precision
     return centre, 1.0 / precision
