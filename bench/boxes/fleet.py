@@ -1,9 +1,10 @@
 """python -m bench.boxes.fleet: a new box learnt from an hour with the prior of its fleet, from six without.
 
 Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
-Every box is commissioned for six hours and tells the fleet its twin. Leave one out: to each in turn, as if it
-were new, the others give a prior, and its twin is learnt from the first hour of its step tests with the prior
-and without. One more of each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
+Every box was commissioned for six hours, has run for a day since, and tells the fleet the twin that both give.
+Leave one out: to each in turn, as if it were new, the others give a prior. Its twin is learnt from the first
+hour of its step tests with the prior, from that hour without, and from six hours without. One more of each
+design is odd: a lid stands open, a heater is weaker; its fleet does not know.
 Judged by the error of a free run over another day, and by the cost of MPC-Twin-P on reference_1. Runs are
 kept in --out, so that a command that was ended goes on.
 """
@@ -27,11 +28,13 @@ from bench.boxes.own_data import free_run_errors, quiet
 from bench.boxes.reach import scaled_reference
 from bench.boxes.siblings import ODD, sibling
 from bench.header import header
-from edge.app.commission import Commissioned, learn
+from edge.app.commission import chosen_twin, learn
 from edge.app.step_test_record import STEP_S, record, test_settings
 from edge.config.settings import ControlSettings, DailyReference, ReferenceSettings
 from edge.core.errors import GreenhouseError
 from edge.core.sweep import add_arguments, sweep
+from edge.diagnosis.diagnose import diagnose
+from edge.diagnosis.history_runs import history_runs
 from edge.formats.reader import read_json
 from edge.formats.run_file import RecordedRun, cut, read_run, resample, write_run
 from edge.storage.runs import export_stretches
@@ -41,6 +44,7 @@ from fleet.priors.fleet_prior import BoxSheet, fit_prior
 from training.lab import InProcessBoard, Lab
 
 LITTLE_H, MUCH_H = 1.0, 6.0
+MINUTE_S = 60.0
 DAY_MIN = 1500.0  # after the first hour of it, a day judges
 WARM, COOL = 0.7, 0.25  # references by day and by night, shares as of scaled_reference
 REFERENCE = "reference_1"
@@ -112,9 +116,20 @@ def record_day(out: Path, box: FleetBox) -> None:
     write_run(day, path)
 
 
-def learn_from(run: RecordedRun, start: TwinFile, hours: float) -> Commissioned:
-    """Learn a twin from the first hours. Errors: GreenhouseError"""
-    return learn(cut(run, 0, min(len(run), round(3600.0 * hours / STEP_S))), start, ControlSettings(), quiet)
+def first_hours(run: RecordedRun, hours: float) -> RecordedRun:
+    """Return the begin of step tests."""
+    return cut(run, 0, min(len(run), round(3600.0 * hours / STEP_S)))
+
+
+def tell_fleet(out: Path, box: FleetBox) -> None:
+    """Keep the twin that a box of the fleet tells: of its tests and of the day after."""
+    path = out / f"{box.name}.told.yaml"
+    if path.exists():
+        return
+    file = replace(box.start, sample_s=MINUTE_S)
+    tests, day = (read_run(out / f"{box.name}.{name}.csv") for name in ("tests", "day"))
+    runs = history_runs([first_hours(tests, MUCH_H), day], file)
+    write_twin_file(chosen_twin(diagnose(file, runs, quiet, "python -m bench.boxes.fleet"))[0], path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,12 +150,10 @@ class NewBoxRow:
 
 
 def sheets_of(out: Path, boxes: Sequence[FleetBox]) -> dict[FleetBox, BoxSheet]:
-    """Return what the boxes tell whose twins were not refused."""
-    rows = {box: read_json(NewBoxRow, out / f"{box.name}.6-h.json") for box in boxes}
+    """Return what the boxes tell."""
     return {
-        box: BoxSheet(box.name, str(box.design), read_twin_file(out / f"{box.name}.6-h.yaml"))
-        for box, row in rows.items()
-        if row.error_k is not None and not row.refused
+        box: BoxSheet(box.name, str(box.design), read_twin_file(out / f"{box.name}.told.yaml"))
+        for box in boxes
     }
 
 
@@ -184,13 +197,13 @@ def _row(out: Path, place: Path, box: FleetBox, start: TwinFile, way: str) -> Ne
         return read_json(NewBoxRow, path)
     run = read_run(out / f"{box.name}.tests.csv")
     try:
-        found = learn_from(run, start, WAYS[way])
+        found = learn(first_hours(run, WAYS[way]), start, ControlSettings(), quiet)
     except GreenhouseError as error:
         row = NewBoxRow(box.name, box.odd, way, refused=str(error))
     else:
         write_twin_file(found.twin, path.with_suffix(".yaml"))
         driven = drive(box.facts, box.facts.seed, OF_TWIN, found, REFERENCE)
-        day = resample(read_run(out / f"{box.name}.day.csv"), 60.0)
+        day = resample(read_run(out / f"{box.name}.day.csv"), MINUTE_S)
         error_k = float(np.nanmean(np.abs(free_run_errors(found.twin, day))))
         row = NewBoxRow(
             box.name, box.odd, way, error_k, driven.cost, driven.mae_k,
@@ -247,6 +260,7 @@ def main(words: Sequence[str] | None = None) -> int:
     ]
     new = [*fleet, *odd]
     alone = sweep(partial(judge_alone, given.out), new, given.workers, given.dask)
+    sweep(partial(tell_fleet, given.out), fleet, given.workers, given.dask)
     give_starts(given.out, fleet, new)
     in_fleet = sweep(partial(judge_in_fleet, given.out, fleet), new, given.workers, given.dask)
     print("\n".join(table([*in_fleet, *(row for lot in alone for row in lot)])))
