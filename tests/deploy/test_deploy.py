@@ -284,7 +284,14 @@ def test_every_line_of_the_rule_is_one() -> None:
 
 @needs("shellcheck")
 @pytest.mark.parametrize(
-    "script", ["deploy/install.sh", "deploy/uninstall.sh", "tests/install_tools.sh", ".ci/run"]
+    "script",
+    [
+        "deploy/install.sh",
+        "deploy/install-fleet.sh",
+        "deploy/uninstall.sh",
+        "tests/install_tools.sh",
+        ".ci/run",
+    ],
 )
 def test_the_shell_finds_nothing_wrong(script: str) -> None:
     done = subprocess.run(["shellcheck", str(ROOT / script)], capture_output=True, text=True)

@@ -19,7 +19,7 @@ from bench.support.daemon_process import ROOT
 from bench.support.page_process import listens
 from edge.core.errors import RequestError
 from fleet.machine import service, units
-from fleet.machine.engines import engines
+from fleet.machine.engines import PACKAGES, engines
 from fleet.machine.places import FOLDER, FleetMachine, places_of
 from fleet.machine.setting_up import set_up
 
@@ -132,3 +132,9 @@ def test_a_python_that_services_cannot_reach_is_refused(tmp_path: Path) -> None:
     (closed / "python").touch(0o755)
     with pytest.raises(RequestError, match="/opt/greenhouse/venv"):
         service.check_program(closed / "python")
+
+
+def test_the_installer_brings_every_engine() -> None:
+    text = (ROOT / "deploy" / "install-fleet.sh").read_text()
+    (named,) = [line for line in text.splitlines() if line.startswith("set -- ")]
+    assert set(named.partition("#")[0].split()[2:]) == set(PACKAGES.values())
