@@ -35,7 +35,7 @@ persistence_location {data}/
 autosave_interval 60
 persistent_client_expiration 30d
 max_queued_messages 1000000
-max_inflight_messages 200
+max_inflight_messages 0
 max_packet_size {MESSAGE_MAX}
 log_dest stderr
 """

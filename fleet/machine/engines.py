@@ -47,6 +47,7 @@ def engines(places: FleetPlaces, machine: FleetMachine, python: str = sys.execut
         # A tick that was stored twice, after a kill, is one: the same time and the same value.
         "-dedup.minScrapeInterval=1ms",
         f"-retentionPeriod={RETENTION}",
+        "-snapshotsMaxAge=1d",  # one that a kill of ingest left behind
         "-search.latencyOffset=1s",  # else the newest half a minute is not shown
         "-memory.allowedPercent=30",
         "-loggerLevel=WARN",
