@@ -30,6 +30,8 @@ PAYLOADS = {  # MQTT command -> a payload that it takes
     "clear_trip": "PRESS",
     "follow_schedule": "PRESS",
     "commission": "PRESS",
+    "install_bundle": '{"url": "https://fleet.example.org/bundles/2.zip", "sha256": "' + 64 * "a" + '"}',
+    "rollback_bundle": '{"version": "2.0"}',
     "end_commissioning": "PRESS",
     "status": "PRESS",
     "ask": "keep 26 by day and 20 at night",
