@@ -3,7 +3,8 @@
 import re
 import socket
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 import yaml
@@ -155,13 +156,13 @@ def own_host_names(given: Iterable[str]) -> tuple[str, ...]:
     return (*known, *(name for name in ("localhost", LOCAL) if name not in known))
 
 
-def free_ports(preferred: Ports) -> Ports:
-    """Return ports that nobody listens at now; those that are preferred where they are free."""
-    chosen: dict[str, int] = {}
-    for name, port in asdict(preferred).items():
-        wish = port if port >= 1024 else port + 8000
-        chosen[name] = wish if is_free(wish) and wish not in chosen.values() else _any_port(chosen.values())
-    return Ports(**chosen)
+def free_ports() -> Ports:
+    """Return ports that nobody listens at now: of several tries none takes another's."""
+    with ExitStack() as stack:
+        probes = [stack.enter_context(socket.socket()) for _ in fields(Ports)]
+        for probe in probes:
+            probe.bind(("", 0))
+        return Ports(*(int(probe.getsockname()[1]) for probe in probes))
 
 
 def is_free(port: int) -> bool:
@@ -173,15 +174,6 @@ def is_free(port: int) -> bool:
         except OSError:
             return False
         return True
-
-
-def _any_port(taken: Iterable[int]) -> int:
-    while True:
-        with socket.socket() as probe:
-            probe.bind(("", 0))
-            port = int(probe.getsockname()[1])
-        if port not in taken:
-            return port
 
 
 def places_of(folder: Path) -> FleetPlaces:

@@ -20,7 +20,6 @@ from fleet.machine.places import (
     USER,
     FleetMachine,
     FleetPlaces,
-    Ports,
     free_ports,
     own_host_names,
 )
@@ -76,7 +75,7 @@ def _machine(places: FleetPlaces, names: Sequence[str], is_try: bool) -> FleetMa
         known = own_host_names(names)
         if is_try:
             user = pwd.getpwuid(os.geteuid()).pw_name
-            found = FleetMachine(str(data), user, LOCAL, known, free_ports(Ports()))
+            found = FleetMachine(str(data), user, LOCAL, known, free_ports())
         else:
             found = FleetMachine(str(data), USER, "", known)
         places.write(found)
