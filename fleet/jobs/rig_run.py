@@ -10,10 +10,12 @@ from edge.core.messages import ReadingQuality
 from edge.core.names import SIGNALS
 from edge.formats.run_file import RecordedRun
 from fleet.ingest.tick import QUALITIES
-from fleet.numbers.series import SEQ, selector
+from fleet.numbers.series import PREFIX, SEQ, any_of
 from fleet.numbers.victoria import Numbers
 
 INPUTS = {"heater_duty": "echo_heater_duty", "fan_on": "echo_fan_on", "led": "echo_led"}
+KEYS = tuple(signal.key for signal in SIGNALS.values())
+AIR = SIGNALS["temp_air"].key  # a column of every run
 GOOD = QUALITIES[ReadingQuality.GOOD.value]
 Samples = dict[float, float]  # utc -> value
 
@@ -25,23 +27,21 @@ def rig_run(numbers: Numbers, rig: str, since_utc: float, until_utc: float) -> R
     Errors : DataError where there are none, NumbersError
     """
 
-    def samples(quantity: str) -> Samples:
-        found: Samples = {}
-        for series in numbers.series(selector(quantity, rig=rig), since_utc, until_utc):
-            found.update(zip(series.utc, series.values, strict=True))
-        return found
-
-    times = sorted(samples(SEQ))
+    wanted = [SEQ, *INPUTS.values(), *(f"{key}{end}" for key in KEYS for end in ("", "_quality"))]
+    samples: dict[str, Samples] = {quantity: {} for quantity in wanted}
+    for series in numbers.series(any_of(wanted, rig), since_utc, until_utc):
+        own = samples[series.labels["__name__"].removeprefix(PREFIX)]
+        own.update(zip(series.utc, series.values, strict=True))
+    times = sorted(samples[SEQ])
     if not times:
         raise DataError(f"{rig}: no tick from {since_utc:.0f} to {until_utc:.0f} is in store")
     columns = {"time_s": np.round(np.array(times) - times[0], 3)}
-    for signal in SIGNALS.values():
-        quality, values = samples(f"{signal.key}_quality"), samples(signal.key)
+    for key in KEYS:
+        quality, values = samples[f"{key}_quality"], samples[key]
         column = [values.get(utc, np.nan) if quality.get(utc) == GOOD else np.nan for utc in times]
-        if np.isfinite(column).any() or signal.key == "temp_air_c":
-            columns[signal.key] = np.array(column)
+        if np.isfinite(column).any() or key == AIR:
+            columns[key] = np.array(column)
     for name, quantity in INPUTS.items():
-        confirmed = samples(quantity)
-        columns[name] = np.array([confirmed.get(utc, 0.0) for utc in times])
+        columns[name] = np.array([samples[quantity].get(utc, 0.0) for utc in times])
     start = datetime.fromtimestamp(times[0], UTC).isoformat(timespec="milliseconds")
     return RecordedRun(columns, {"start_utc": start, "rig": rig}, Path(rig))

@@ -1,5 +1,7 @@
 """Names of series: `greenhouse_<quantity>` with its unit; the rig and others are labels."""
 
+import json
+from collections.abc import Iterable
 from functools import cache
 
 PREFIX = "greenhouse_"
@@ -20,6 +22,11 @@ def lines(rig: str, utc: float, samples: Samples) -> str:
     end = f'{rig}"}} '
     at_ms = f" {round(utc * 1000)}\n"
     return "".join([f"{start}{end}{value!r}{at_ms}" for start, value in samples])
+
+
+def any_of(quantities: Iterable[str], rig: str) -> str:
+    """Return the selector of all series of these quantities that a rig has."""
+    return f'{{__name__=~"{"|".join(PREFIX + each for each in quantities)}",rig={json.dumps(rig)}}}'
 
 
 def selector(quantity: str, **labels: str) -> str:

@@ -12,7 +12,7 @@ from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from typing import Any
 from urllib.parse import quote, urlencode, urlsplit
 
-from edge.core.errors import GreenhouseError
+from edge.core.errors import DataError
 from edge.core.plain_text import plain
 from fleet.settings import NumbersSettings
 
@@ -24,7 +24,7 @@ DROPPED = (  # what counters of samples that were not stored begin with
 FIELDS = "metric", "values", "timestamps"
 
 
-class NumbersError(GreenhouseError):
+class NumbersError(DataError):
     """VictoriaMetrics can't be reached or refuses; the text names the setting and says why."""
 
 
@@ -68,13 +68,16 @@ class Numbers:
             self._call(connection, "GET", f"/snapshot/delete?snapshot={quote(str(made['snapshot']))}")
 
     def series(self, selector: str, first_utc: float, last_utc: float) -> Iterator[NumberSeries]:
-        """Yield the series of a selector with their samples, both ends included."""
+        """Yield the series of a selector with their samples, both ends included; a null is none."""
         # Both ends are sent: without an end samples of the present second are left out.
         asked = urlencode({"match[]": selector, "start": first_utc, "end": last_utc})
         with self._connection() as connection:
             for line in self._call(connection, "GET", f"/api/v1/export?{asked}").splitlines():
                 labels, values, at_ms = (self._json(line)[name] for name in FIELDS)
-                yield NumberSeries(labels, tuple(ms / 1000 for ms in at_ms), tuple(values))
+                known = [(ms, value) for ms, value in zip(at_ms, values, strict=True) if value is not None]
+                yield NumberSeries(
+                    labels, tuple(ms / 1000 for ms, _ in known), tuple(value for _, value in known)
+                )
 
     def query(self, promql: str, at_utc: float) -> list[tuple[Mapping[str, str], float]]:
         """Return labels and value of each series that an expression has at a time."""

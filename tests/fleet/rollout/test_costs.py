@@ -91,7 +91,10 @@ def test_costs_are_read_from_the_numbers_of_one_rig() -> None:
 
 
 def test_a_server_that_refuses_or_is_away_is_named() -> None:
-    with serving({}, status=503) as (url, _), pytest.raises(DataError, match=r"numbers\.url: .*answers 503"):
+    with (
+        serving({}, status=503) as (url, _),
+        pytest.raises(DataError, match=r"numbers\.url: .*/api/v1/export: 503"),
+    ):
         costs_from(NumbersSettings(url=url))("rig-1", BEGIN_S, BEGIN_S + HOUR_S)
     with pytest.raises(DataError, match=r"numbers\.url: http://127"):
         costs_from(NumbersSettings(url=url))("rig-1", BEGIN_S, BEGIN_S + HOUR_S)
