@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout, RolloutWave
+from fleet.database.lease import Lease, LeaseLost
 from fleet.rollout.archives import add_archive
 from fleet.rollout.begin import begin, rigs_of, stop_by_person
 from fleet.rollout.costs import costs_from
@@ -20,6 +21,7 @@ from fleet.rollout.runner import RolloutRunner
 from fleet.settings import FleetSettings
 
 LOOK_S = 30.0
+WORK = "rollouts"  # of the lease
 ACTIONS = {
     "start": "take a signed bundle in and begin to spread it",
     "status": "show rollouts, their waves and rigs",
@@ -72,22 +74,39 @@ def _serve(settings: FleetSettings, engine: Engine) -> None:
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, end)
+    lease = Lease(engine, WORK)
+    # The broker knows one runner: a second connection would end the first one's, so it waits for the lease.
+    while lease.wait(ended, _say):
+        try:
+            with lease.kept():
+                _look(settings, engine, lease, ended, awake)
+        except LeaseLost as error:
+            _say(str(error))
+
+
+def _look(
+    settings: FleetSettings, engine: Engine, lease: Lease, ended: threading.Event, awake: threading.Event
+) -> None:
+    """Look again and again until the end. Errors: LeaseLost"""
     line = MqttRigLine(settings.mqtt, awake.set)
     try:
-        runner = RolloutRunner(
-            engine, settings.rollout.address, line, costs_from(settings.numbers), time.time()
-        )
+        costs = costs_from(settings.numbers)
+        runner = RolloutRunner(engine, settings.rollout.address, line, costs, lease.check, time.time())
         said = ""
         while not ended.is_set():
             for text in runner.look(time.time()):
                 print(text, flush=True)
             if runner.problem and runner.problem != said:
-                print(f"no wave is judged: {runner.problem}", file=sys.stderr, flush=True)
+                _say(f"no wave is judged: {runner.problem}")
             said = runner.problem
             awake.wait(LOOK_S)
             awake.clear()
     finally:
         line.close()
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def _show(engine: Engine, with_rigs: bool) -> None:

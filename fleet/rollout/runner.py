@@ -4,7 +4,7 @@ Each look is one transaction, and orders are sent after it, again and again unti
 any moment costs at most an order that comes twice, which rigs allow.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from math import ceil
 
@@ -31,17 +31,27 @@ class RolloutRunner:
     """Looks at everything at each call of `look`.
 
     address : `rollout.address`; hearing_utc : since when rigs are heard; 0.0: since ever
+    check : of the `Lease` that its holder has, so that of two runners one alone writes and sends
     """
 
     def __init__(
-        self, engine: Engine, address: str, line: RigLine, costs: Costs, hearing_utc: float = 0.0
+        self,
+        engine: Engine,
+        address: str,
+        line: RigLine,
+        costs: Costs,
+        check: Callable[[Session], None],
+        hearing_utc: float = 0.0,
     ) -> None:
-        self._hearing_utc = hearing_utc
+        self._hearing_utc, self._check = hearing_utc, check
         self._engine, self._address, self._line, self._costs = engine, address, line, costs
         self.problem = ""  # why numbers could not be read at the last look
 
     def look(self, utc: float) -> list[str]:
-        """Do all that is due and return what happened, a line each; nothing while rigs can't be heard."""
+        """Do all that is due and return what happened, a line each; nothing while rigs can't be heard.
+
+        Errors : LeaseLost where another runner has taken over; then nothing was written or sent
+        """
         if not self._line.hears():
             self._hearing_utc = utc
             return []
@@ -52,6 +62,7 @@ class RolloutRunner:
             running = select(BundleRollout).where(BundleRollout.state == RolloutState.RUNNING)
             for rollout in session.scalars(running).all():
                 told += self._advance(session, rollout, utc)
+            self._check(session)  # last: on SQLite nobody can write from here on, and costs take their time
         self._line.confirm()
         self._send(utc)
         return told
@@ -180,6 +191,7 @@ class RolloutRunner:
         """Send each order that is due, and note which could be sent."""
         waiting = (RigState.ORDERED, RigState.ROLLING_BACK)
         with Session(self._engine) as session, session.begin():
+            self._check(session)  # first: what is sent can't be taken back
             asked = (
                 select(RolloutRig, BundleRollout)
                 .join(BundleRollout, RolloutRig.rollout == BundleRollout.number)

@@ -3,7 +3,6 @@
 import hashlib
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from sqlalchemy import Engine
@@ -12,6 +11,7 @@ from sqlalchemy.orm import Session
 from edge.bundle import remote
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout, FleetBundle, RolloutRig, RolloutWave
+from fleet.database.lease import Lease
 from fleet.database.rigs import FleetRig
 from fleet.rollout.begin import begin
 from fleet.rollout.judge import HOUR_S, HourCost
@@ -32,7 +32,7 @@ class FleetInMemory:
     refuses : rigs whose proof fails; silent : rigs that never answer; told : news that wait for a runner
     """
 
-    folder: Path
+    database: DatabaseSettings
     count: int = 12
     kinds: tuple[str, ...] = ("tent", "case", "cold frame")
     dearer: dict[str, float] = field(default_factory=dict)
@@ -47,7 +47,9 @@ class FleetInMemory:
     said: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.engine: Engine = open_database(DatabaseSettings(url=f"sqlite:///{self.folder}/fleet.db"))
+        self.engine: Engine = open_database(self.database)
+        self.lease = Lease(self.engine, "rollouts")
+        assert self.lease.take() == ""
         with Session(self.engine) as session, session.begin():
             for kind in self.kinds:
                 for number in range(self.count):
@@ -118,9 +120,12 @@ class FleetInMemory:
         return self.state()
 
     def look(self) -> RolloutRunner:
-        runner = RolloutRunner(self.engine, ADDRESS, self, self.costs)
+        runner = self.runner()
         self.said += runner.look(self.utc)
         return runner
+
+    def runner(self) -> RolloutRunner:
+        return RolloutRunner(self.engine, ADDRESS, self, self.costs, self.lease.check)
 
     def state(self) -> BundleRollout:
         with Session(self.engine) as session:

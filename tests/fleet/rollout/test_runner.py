@@ -1,20 +1,44 @@
 """The runner over a fleet in memory: passes, stops, rolls back, and goes on after a kill at any look."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from fleet_in_memory import SETTINGS, SHA256, FleetInMemory
+from sqlalchemy import create_engine
 from sqlalchemy.orm import Session
 
+from bench.support.postgres import Postgres, needs_postgres
 from edge.core.errors import DataError, RequestError
+from fleet.database.base import FleetTable
+from fleet.database.lease import Lease, LeaseLost
 from fleet.database.rigs import FleetRig
 from fleet.rollout.begin import begin, stop_by_person
 from fleet.rollout.runner import RolloutRunner
 from fleet.rollout.states import News
+from fleet.settings import DatabaseSettings
 
 
-def test_a_good_bundle_reaches_every_rig_in_three_waves(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+@pytest.fixture(scope="module")
+def postgres() -> Iterator[Postgres]:
+    with Postgres() as running:
+        yield running
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=needs_postgres)])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[DatabaseSettings]:
+    if request.param == "sqlite":
+        yield DatabaseSettings(url=f"sqlite:///{tmp_path}/fleet.db")
+        return
+    url = request.getfixturevalue("postgres").url
+    yield DatabaseSettings(url=url)
+    engine = create_engine(url)
+    FleetTable.metadata.drop_all(engine)
+    engine.dispose()
+
+
+def test_a_good_bundle_reaches_every_rig_in_three_waves(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database)
     found = fleet.run(hours=300.0, look_h=1.5)
     assert (found.state, found.wave, found.why) == ("done", 3, "all waves have passed")
     assert len(fleet.active) == 36
@@ -26,8 +50,10 @@ def test_a_good_bundle_reaches_every_rig_in_three_waves(tmp_path: Path) -> None:
     assert len(installs) == len(set(installs)) == 36  # each obeyed at once, none was asked twice
 
 
-def test_a_bundle_that_is_bad_for_one_kind_stops_in_the_first_wave_and_is_rolled_back(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path, dearer={"case": 0.5})
+def test_a_bundle_bad_for_one_kind_stops_in_the_first_wave_and_is_rolled_back(
+    database: DatabaseSettings,
+) -> None:
+    fleet = FleetInMemory(database, dearer={"case": 0.5})
     found = fleet.run(hours=100.0)
     assert (found.state, found.wave) == ("stopped", 1)
     assert "kind case is dearer by" in found.why
@@ -38,8 +64,8 @@ def test_a_bundle_that_is_bad_for_one_kind_stops_in_the_first_wave_and_is_rolled
     assert {fleet.rig(rig).state for rig in back} == {"rolled back"}
 
 
-def test_a_refused_proof_stops_at_once_and_names_the_rig(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+def test_a_refused_proof_stops_at_once_and_names_the_rig(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database)
     fleet.refuses = {f"tent-{number}" for number in range(12)}
     found = fleet.run(hours=3.0)
     assert found.state == "stopped"
@@ -48,8 +74,8 @@ def test_a_refused_proof_stops_at_once_and_names_the_rig(tmp_path: Path) -> None
     assert fleet.active == {}
 
 
-def test_a_rig_that_falls_silent_after_the_install_stops_it(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+def test_a_rig_that_falls_silent_after_the_install_stops_it(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database)
     fleet.run(hours=1.0)
     rig = sorted(fleet.active)[0]
     fleet.told.append(News(rig, "offline"))
@@ -66,8 +92,8 @@ def test_a_rig_that_falls_silent_after_the_install_stops_it(tmp_path: Path) -> N
     assert fleet.rig(rig).state == "rolled back"
 
 
-def test_a_short_absence_and_a_fault_that_passes_do_not_stop_it(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+def test_a_short_absence_and_a_fault_that_passes_do_not_stop_it(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database)
     fleet.run(hours=1.0)
     first, second = sorted(fleet.active)[:2]
     fleet.told += [News(first, "offline"), News(second, "controller.late", "late")]
@@ -80,9 +106,9 @@ def test_a_short_absence_and_a_fault_that_passes_do_not_stop_it(tmp_path: Path) 
     ("what", "hours"), [("bundle.refused", 0.1), ("bundle.rollback", 0.1), ("fallback.failed", 1.0)]
 )
 def test_a_rig_that_leaves_the_bundle_or_falls_back_for_long_stops_it(
-    tmp_path: Path, what: str, hours: float
+    database: DatabaseSettings, what: str, hours: float
 ) -> None:
-    fleet = FleetInMemory(tmp_path)
+    fleet = FleetInMemory(database)
     fleet.run(hours=1.0)
     rig = sorted(fleet.active)[0]
     fleet.told.append(News(rig, what, "why"))
@@ -90,8 +116,10 @@ def test_a_rig_that_leaves_the_bundle_or_falls_back_for_long_stops_it(
     assert (found.state, found.why) == ("stopped", f"1 of 18 rigs are unhealthy; {rig}: {what}: why")
 
 
-def test_a_rig_that_does_not_answer_is_asked_again_and_stops_it_in_the_end(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+def test_a_rig_that_does_not_answer_is_asked_again_and_then_stops_it(
+    database: DatabaseSettings,
+) -> None:
+    fleet = FleetInMemory(database)
     fleet.silent = {f"tent-{number}" for number in range(12)}
     found = fleet.run(hours=3.0)
     assert "tent-" in found.why and "has not obeyed within 60 min" in found.why
@@ -99,12 +127,12 @@ def test_a_rig_that_does_not_answer_is_asked_again_and_stops_it_in_the_end(tmp_p
     assert len(asked) >= 2 * len(set(asked))
 
 
-def test_what_lasted_while_nobody_listened_counts_from_then_on(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+def test_what_lasted_while_nobody_listened_counts_from_then_on(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database)
     fleet.run(hours=1.0)
     fleet.told.append(News(sorted(fleet.active)[0], "offline"))
     fleet.look()
-    runner = RolloutRunner(fleet.engine, SETTINGS.address, fleet, fleet.costs)
+    runner = fleet.runner()
     fleet.deaf = True
     fleet.utc += 10 * 3600.0
     runner.look(fleet.utc)
@@ -115,8 +143,8 @@ def test_what_lasted_while_nobody_listened_counts_from_then_on(tmp_path: Path) -
     assert fleet.state().state == "stopped"
 
 
-def test_a_bundle_that_cannot_be_fetched_is_not_taken_for_a_bad_one(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+def test_a_bundle_that_cannot_be_fetched_is_not_taken_for_a_bad_one(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database)
     fleet.silent = {f"tent-{number}" for number in range(12)}
     fleet.run(hours=0.5)
     rig = next(rig for rig, _ in fleet.orders if rig in fleet.silent)
@@ -127,35 +155,35 @@ def test_a_bundle_that_cannot_be_fetched_is_not_taken_for_a_bad_one(tmp_path: Pa
     assert fleet.rig(rig).state == "active"
 
 
-def test_without_numbers_a_wave_waits_and_says_why(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+def test_without_numbers_a_wave_waits_and_says_why(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database)
     fleet.run(hours=1.0)
 
     def broken(rig: str, since_utc: float, until_utc: float) -> list:  # type: ignore[type-arg]
         raise DataError("numbers.url: away")
 
-    runner = RolloutRunner(fleet.engine, SETTINGS.address, fleet, broken)
+    runner = RolloutRunner(fleet.engine, SETTINGS.address, fleet, broken, fleet.lease.check)
     assert runner.look(fleet.utc + 30 * 3600.0) == []
     assert runner.problem == "numbers.url: away"
     assert fleet.state().state == "running"
 
 
-def test_a_wave_whose_time_is_over_goes_on_and_says_so(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path, dearer={kind: 0.1 for kind in ("tent", "case", "cold frame")})
+def test_a_wave_whose_time_is_over_goes_on_and_says_so(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database, dearer={kind: 0.1 for kind in ("tent", "case", "cold frame")})
     fleet.run(hours=130.0, look_h=1.5)
     assert fleet.wave(1).why.startswith("time is over without evidence of harm: not shown to be within 10%: ")
 
 
-def test_rigs_that_are_away_are_left_out_and_named(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path, count=8, kinds=("tent",))
+def test_rigs_that_are_away_are_left_out_and_named(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database, count=8, kinds=("tent",))
     with Session(fleet.engine) as session, session.begin():
         session.get_one(FleetRig, "tent-3").is_online = False
     found = fleet.run(hours=400.0, look_h=1.5)
     assert (found.state, found.why) == ("done", "all waves have passed; away and without it: tent-3")
 
 
-def test_only_one_rollout_runs_and_a_person_may_stop_it(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+def test_only_one_rollout_runs_and_a_person_may_stop_it(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database)
     fleet.run(hours=2.0)
     with pytest.raises(RequestError, match=r"rollout 1 of bundle 2\.0 runs"):
         begin(fleet.engine, SETTINGS, SHA256, "", fleet.utc)
@@ -167,8 +195,8 @@ def test_only_one_rollout_runs_and_a_person_may_stop_it(tmp_path: Path) -> None:
     assert fleet.state().why == "the tents smell"
 
 
-def test_a_rollout_without_an_address_or_rigs_is_refused(tmp_path: Path) -> None:
-    fleet = FleetInMemory(tmp_path)
+def test_a_rollout_without_an_address_or_rigs_is_refused(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database)
     stop_by_person(fleet.engine, 1, "", fleet.utc)
     with pytest.raises(RequestError, match=r"rollout\.address is empty"):
         begin(fleet.engine, type(SETTINGS)(), SHA256, "", fleet.utc)
@@ -176,3 +204,17 @@ def test_a_rollout_without_an_address_or_rigs_is_refused(tmp_path: Path) -> None
         begin(fleet.engine, SETTINGS, SHA256, "north", fleet.utc)
     with pytest.raises(RequestError, match="no bundle of sha256 00"):
         begin(fleet.engine, SETTINGS, "00", "", fleet.utc)
+
+
+def test_a_runner_whose_work_another_one_has_taken_writes_and_sends_nothing(
+    database: DatabaseSettings,
+) -> None:
+    fleet = FleetInMemory(database)
+    slow = fleet.runner()
+    other = Lease(fleet.engine, "rollouts", lease_s=0.0)
+    assert other.take() == ""  # as after a pause in which no beat came
+    with pytest.raises(LeaseLost, match="rollouts: another process does it now"):
+        slow.look(fleet.utc)
+    assert (fleet.orders, fleet.state().wave) == ([], 0)
+    RolloutRunner(fleet.engine, SETTINGS.address, fleet, fleet.costs, other.check).look(fleet.utc)
+    assert fleet.state().wave == 1 and fleet.orders

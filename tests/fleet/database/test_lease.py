@@ -1,0 +1,119 @@
+"""A lease, on both databases: one holder at a time, and the next when it ends, dies or falls silent."""
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sqlalchemy import Engine, update
+from sqlalchemy.orm import Session
+
+from bench.support.broker import wait_for
+from bench.support.daemon_process import ROOT
+from bench.support.postgres import Postgres, needs_postgres
+from edge.core.processes import die_with_parent
+from fleet.database.base import open_database
+from fleet.database.lease import Lease, LeaseLost
+from fleet.database.leases import WorkLease
+from fleet.settings import DatabaseSettings
+
+HOLDER = """
+import sys, threading
+from fleet.database.base import open_database
+from fleet.database.lease import Lease
+from fleet.settings import DatabaseSettings
+lease = Lease(open_database(DatabaseSettings(url=sys.argv[1])), "rollouts")
+assert lease.take() == ""
+with lease.kept():
+    print("taken", flush=True)
+    threading.Event().wait()
+"""
+
+
+@pytest.fixture(scope="module")
+def postgres() -> Iterator[Postgres]:
+    with Postgres() as running:
+        yield running
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=needs_postgres)])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path}/fleet.db"
+    return str(request.getfixturevalue("postgres").url)
+
+
+@pytest.fixture
+def engine(url: str) -> Iterator[Engine]:
+    own = open_database(DatabaseSettings(url=url))
+    yield own
+    with Session(own) as session, session.begin():
+        session.query(WorkLease).delete()
+    own.dispose()
+
+
+def on_another_machine(engine: Engine) -> None:
+    """Let the holder be of a machine whose processes are not known here."""
+    with Session(engine) as session, session.begin():
+        session.execute(update(WorkLease).values(machine="elsewhere", host="elsewhere"))
+
+
+def test_one_of_many_that_come_at_once_takes_it(engine: Engine) -> None:
+    leases, found = [Lease(engine, "rollouts") for _ in range(8)], list[str]()
+    start = threading.Barrier(len(leases))
+
+    def take(lease: Lease) -> None:
+        start.wait()
+        found.append(lease.take())
+
+    threads = [threading.Thread(target=take, args=(lease,)) for lease in leases]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == len(leases) and found.count("") == 1
+    assert Lease(engine, "another work").take() == ""
+
+
+def test_it_is_free_at_once_when_it_is_given_back(engine: Engine) -> None:
+    first, second = Lease(engine, "rollouts"), Lease(engine, "rollouts")
+    with Session(engine) as session, session.begin():
+        assert first.take() == ""
+        assert second.take().startswith("process ")
+    first.give_back()
+    assert second.take() == ""
+    first.give_back()  # no more its own
+    assert first.take() != ""
+
+
+def test_it_is_free_at_once_when_its_process_was_killed(engine: Engine, url: str) -> None:
+    words = [sys.executable, "-c", HOLDER, url]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, cwd=ROOT, preexec_fn=die_with_parent) as process:
+        assert process.stdout is not None and process.stdout.readline() == b"taken\n"
+        lease = Lease(engine, "rollouts")
+        assert lease.take().startswith(f"process {process.pid} of ")
+        process.kill()
+    assert lease.take() == ""
+
+
+def test_a_holder_elsewhere_keeps_it_while_it_beats_and_loses_it_in_silence(engine: Engine) -> None:
+    first, second = Lease(engine, "rollouts", lease_s=1.0), Lease(engine, "rollouts", lease_s=5.0)
+    assert first.take() == ""
+    ended = threading.Event()
+    taken: list[bool] = []
+    with first.kept():
+        on_another_machine(engine)
+        thread = threading.Thread(target=lambda: taken.append(second.wait(ended, lambda text: None)))
+        thread.start()
+        assert not ended.wait(6.0) and not taken  # longer than its lease, and it beats
+    wait_for(lambda: taken == [True], "the work is free after the end", 30.0)
+    thread.join()
+    with Session(engine) as session, pytest.raises(LeaseLost):
+        first.check(session)
+    third = Lease(engine, "rollouts", lease_s=0.5)
+    on_another_machine(engine)  # nobody beats from here on
+    assert third.take() == f"process {os.getpid()} of elsewhere"
+    assert third.wait(threading.Event(), lambda text: None)
