@@ -22,11 +22,14 @@ OPTIONS = (
 
 
 class Victoria:
-    """`with Victoria(tmp_path) as victoria:`; it keeps its data over a kill and a new start."""
+    """`with Victoria(tmp_path) as victoria:`; it keeps its data over a kill and a new start.
 
-    def __init__(self, folder: Path, options: Sequence[str] = OPTIONS) -> None:
+    port : usual: any that is free
+    """
+
+    def __init__(self, folder: Path, options: Sequence[str] = OPTIONS, port: int = 0) -> None:
         self._options = options
-        self.port = free_port()
+        self.port = port or free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self._folder = folder
         self.process: subprocess.Popen[bytes] | None = None

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     listing = actions.add_parser("list", help="list rigs that may come in")
     remove = actions.add_parser("remove", help="take a rig's rights away; what it has sent stays")
     remove.add_argument("name", metavar="NAME")
-    remove.add_argument("--erase", action="store_true", help="delete its rows in the database too")
+    remove.add_argument("--erase", action="store_true", help="delete its numbers and rows too")
     for each in (add, listing, remove):
         each.add_argument("--folder", type=Path, default=FOLDER, help="of the fleet; usual: %(default)s")
 

@@ -4,11 +4,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from sqlalchemy import Table, delete
+from sqlalchemy import Engine, Table, delete
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from edge.config.settings import Settings
-from edge.core.errors import RequestError
+from edge.core.errors import DataError, RequestError
 from edge.mqtt.telemetry import remove as remove_retained
 from fleet.database.base import FleetTable, open_database
 from fleet.database.rigs import FleetRig
@@ -16,6 +17,7 @@ from fleet.machine.broker_signals import reload_rights
 from fleet.machine.places import FleetPlaces
 from fleet.machine.rig_papers import new_paper, pack, path_of, write_paper
 from fleet.machine.setting_up import write_rights
+from fleet.numbers.victoria import Numbers, NumbersError
 from fleet.settings import FleetSettings, load
 
 
@@ -43,23 +45,47 @@ def add_rig(places: FleetPlaces, name: str, group: str, kind: str, out: Path) ->
 
 
 def remove_rig(places: FleetPlaces, name: str, erase: bool) -> str:
-    """Take a rig's rights away, and its rows where they are to be erased; return what could not be done.
+    """Take a rig's rights away, and its numbers and rows where they are to be erased.
 
-    Errors : RequestError where there is no such rig
+    Returns : what could not be done at the broker, "" for nothing
+    Errors : RequestError where there is no such rig; DataError where a store is away, which says what is
+        erased: all can be called again until it is through
     """
-    machine, path = places.read(), path_of(places, name)
-    if not path.exists():
+    machine, settings, path = places.read(), load(places.settings), path_of(places, name)
+    engine = open_database(settings.database) if erase else None
+    if not path.exists() and not (engine and _has_row(engine, name)):
         raise RequestError(f"{name} is no rig of this fleet: see `greenhouse fleet rig list`")
-    path.unlink()
+    path.unlink(missing_ok=True)
     write_rights(places)
     reload_rights(machine)
-    settings = load(places.settings)
     left = _forget(settings, name)
-    if erase:
-        with Session(open_database(settings.database)) as session, session.begin():
-            for table in reversed(FleetTable.metadata.sorted_tables):
-                _erase(session, table, name)
+    if engine:
+        _erase(engine, Numbers(settings.numbers), name)
     return left
+
+
+def _has_row(engine: Engine, name: str) -> bool:
+    with Session(engine) as session:
+        return session.get(FleetRig, name) is not None
+
+
+def _erase(engine: Engine, numbers: Numbers, name: str) -> None:
+    again = f"call `greenhouse fleet rig remove {name} --erase` again"
+    try:
+        numbers.erase(name)
+    except NumbersError as error:
+        raise DataError(
+            f"{name} has no rights any more, but its numbers and rows may all be there: {error}; {again}"
+        ) from None
+    try:  # last: while there is a row, what is left can be erased by its name
+        with Session(engine) as session, session.begin():
+            for table in reversed(FleetTable.metadata.sorted_tables):
+                _erase_rows(session, table, name)
+    except SQLAlchemyError as error:
+        why = error.__cause__ or error
+        raise DataError(
+            f"{name} has no rights and no numbers any more, but its rows are all there: {why}; {again}"
+        ) from None
 
 
 def _forget(settings: FleetSettings, name: str) -> str:
@@ -71,7 +97,7 @@ def _forget(settings: FleetSettings, name: str) -> str:
     return ""
 
 
-def _erase(session: Session, table: Table, name: str) -> None:
+def _erase_rows(session: Session, table: Table, name: str) -> None:
     columns = [key.parent for key in table.foreign_keys if key.target_fullname == "rigs.name"]
     columns += [table.c.name] if table.name == "rigs" else []
     columns += [table.c.rig] if "rig" in table.c and not columns else []

@@ -29,6 +29,11 @@ def any_of(quantities: Iterable[str], rig: str) -> str:
     return f'{{__name__=~"{"|".join(PREFIX + each for each in quantities)}",rig={json.dumps(rig)}}}'
 
 
+def any_series(rig: str) -> str:
+    """Return the selector of all series that a rig has, alarms about it too."""
+    return f"{{rig={json.dumps(rig)}}}"
+
+
 def selector(quantity: str, **labels: str) -> str:
     """Return the selector of a quantity's series with these labels."""
     known = ",".join(f'{name}="{value}"' for name, value in labels.items())

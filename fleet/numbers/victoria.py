@@ -14,6 +14,7 @@ from urllib.parse import quote, urlencode, urlsplit
 
 from edge.core.errors import DataError
 from edge.core.plain_text import plain
+from fleet.numbers.series import any_series
 from fleet.settings import NumbersSettings
 
 TIMEOUT_S = 30.0  # a snapshot of a large store takes seconds
@@ -43,11 +44,12 @@ class NumberSeries:
 class Numbers:
     """Samples in and out. Any thread; every call has a connection of its own.
 
+    timeout_s : of each answer
     Errors : NumbersError from every method
     """
 
-    def __init__(self, settings: NumbersSettings) -> None:
-        self._url = settings.url
+    def __init__(self, settings: NumbersSettings, timeout_s: float = TIMEOUT_S) -> None:
+        self._url, self._timeout_s = settings.url, timeout_s
         parts = urlsplit(settings.url)
         self._kind = HTTPSConnection if parts.scheme == "https" else HTTPConnection
         self._host, self._port, self._root = parts.hostname or "", parts.port, parts.path.rstrip("/")
@@ -62,10 +64,14 @@ class Numbers:
         # that the old one held in memory are not taken for stored.
         with self._connection() as connection:
             self._call(connection, "POST", "/api/v1/import/prometheus", lines.encode())
-            made = self._json(self._call(connection, "GET", "/snapshot/create"))
-            if made.get("status") != "ok":
-                raise self._error(f"no snapshot: {made.get('msg')}")
-            self._call(connection, "GET", f"/snapshot/delete?snapshot={quote(str(made['snapshot']))}")
+            self._sync(connection)
+
+    def erase(self, rig: str) -> None:
+        """Delete every series of a rig, and return once that is on disk; of one without any, nothing."""
+        asked = urlencode({"match[]": any_series(rig)})
+        with self._connection() as connection:
+            self._call(connection, "POST", f"/api/v1/admin/tsdb/delete_series?{asked}")
+            self._sync(connection)
 
     def series(self, selector: str, first_utc: float, last_utc: float) -> Iterator[NumberSeries]:
         """Yield the series of a selector with their samples, both ends included; a null is none."""
@@ -86,6 +92,16 @@ class Numbers:
             answer = self._json(self._call(connection, "GET", f"/api/v1/query?{asked}"))
         return [(row["metric"], float(row["value"][1])) for row in answer["data"]["result"]]
 
+    def query_range(
+        self, promql: str, first_utc: float, last_utc: float, step_s: float
+    ) -> list[NumberSeries]:
+        """Return the series of an expression on a grid from `first_utc` on."""
+        # Without a cache: the newest ticks, and late ones, belong to it.
+        asked = {"query": promql, "start": first_utc, "end": last_utc, "step": step_s, "nocache": 1}
+        with self._connection() as connection:
+            answer = self._json(self._call(connection, "GET", f"/api/v1/query_range?{urlencode(asked)}"))
+        return [_on_grid(row) for row in answer["data"]["result"]]
+
     def dropped_rows(self) -> Mapping[str, float]:
         """Return how many samples the server has dropped since its start, by the name of its counter."""
         with self._connection() as connection:
@@ -100,9 +116,15 @@ class Numbers:
         rows = (line.removeprefix("-").partition("=") for line in text.splitlines())
         return {name: value.strip('"') for name, _, value in rows}
 
+    def _sync(self, connection: HTTPConnection) -> None:
+        made = self._json(self._call(connection, "GET", "/snapshot/create"))
+        if made.get("status") != "ok":
+            raise self._error(f"no snapshot: {made.get('msg')}")
+        self._call(connection, "GET", f"/snapshot/delete?snapshot={quote(str(made['snapshot']))}")
+
     @contextmanager
     def _connection(self) -> Iterator[HTTPConnection]:
-        connection = self._kind(self._host, self._port, timeout=TIMEOUT_S)
+        connection = self._kind(self._host, self._port, timeout=self._timeout_s)
         try:
             connection.connect()
             connection.auto_open = 0  # http.client would connect anew without a word
@@ -129,3 +151,8 @@ class Numbers:
 
     def _error(self, why: str) -> NumbersError:
         return NumbersError(f"numbers.url: {self._url}: {plain(why)}")
+
+
+def _on_grid(row: Mapping[str, Any]) -> NumberSeries:
+    pairs = [(float(utc), float(value)) for utc, value in row["values"]]
+    return NumberSeries(row["metric"], tuple(utc for utc, _ in pairs), tuple(value for _, value in pairs))

@@ -2,11 +2,8 @@
 
 import json
 import math
-from typing import Any
 
-import requests
-
-from edge.core.errors import DataError
+from fleet.numbers.victoria import Numbers
 from fleet.settings import NumbersSettings
 
 ANSWER_MAX_S = 10.0
@@ -31,22 +28,21 @@ Columns = dict[str, list[float | None]]
 def course(
     settings: NumbersSettings, rig: str, first_utc: float, last_utc: float, points: int = 720
 ) -> Columns:
-    """Return columns `utc` and those of LINES, [n]; None where nothing is known. Errors: DataError
+    """Return columns `utc` and those of LINES, [n]; None where nothing is known. Errors: NumbersError
 
     first_utc, last_utc : seconds since 1970; points : n at most
     """
     step_s = math.ceil(max(LEAST_STEP_S, (last_utc - first_utc) / min(max(points, 2), POINTS_MAX)))
     first = math.floor(first_utc / step_s) * step_s
-    asked = {"query": _query(rig, step_s), "start": first, "end": last_utc, "step": step_s, "nocache": 1}
     times = range(first, int(last_utc) + 1, step_s)
     columns: Columns = {"utc": [float(time) for time in times]}
     columns |= {line: [None] * len(times) for line in LINES}
-    for series in _ask(settings, asked):
-        column = columns.get(series["metric"].get("line", ""))
-        for utc, value in series["values"] if column is not None else ():
+    for series in Numbers(settings, ANSWER_MAX_S).query_range(_query(rig, step_s), first, last_utc, step_s):
+        column = columns.get(series.labels.get("line", ""), [])
+        for utc, value in zip(series.utc, series.values, strict=True):
             place = round((utc - first) / step_s)
-            if column is not None and 0 <= place < len(column):
-                column[place] = float(value)
+            if 0 <= place < len(column):
+                column[place] = value
     return columns
 
 
@@ -58,16 +54,3 @@ def _query(rig: str, step_s: int) -> str:
         for line, query in LINES.items()
     )
     return f"union({', '.join(parts)})"
-
-
-def _ask(settings: NumbersSettings, asked: dict[str, Any]) -> list[Any]:
-    try:
-        answer = requests.post(f"{settings.url}/api/v1/query_range", data=asked, timeout=ANSWER_MAX_S)
-        found = answer.json()
-    except (requests.RequestException, ValueError) as error:
-        raise DataError(
-            f"numbers.url: {settings.url}: {type(error).__name__}: no course can be read"
-        ) from None
-    if found.get("status") != "success":
-        raise DataError(f"numbers.url: {settings.url}: {found.get('error') or answer.status_code}")
-    return list(found["data"]["result"])

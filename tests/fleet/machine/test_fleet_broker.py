@@ -4,6 +4,7 @@ import ssl
 import subprocess
 import tarfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,17 +13,25 @@ import pytest
 import yaml
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from bench.support.broker import PATIENCE_S, Listener, needs_mosquitto, wait_for
 from bench.support.page_process import listens
+from bench.support.victoria import Victoria, needs_victoria
 from edge.config import loading
-from edge.core.errors import RequestError
+from edge.core.errors import DataError, RequestError
 from edge.core.processes import die_with_parent, end_process
+from fleet.database.base import open_database
+from fleet.database.rigs import FleetRig
 from fleet.machine.engines import engines
 from fleet.machine.places import FleetMachine, FleetPlaces, places_of
 from fleet.machine.rig_papers import HOME
 from fleet.machine.rig_register import add_rig, remove_rig
 from fleet.machine.setting_up import set_up
+from fleet.numbers.series import head, lines
+from fleet.numbers.victoria import Numbers
+from fleet.settings import FleetSettings, load
 
 pytestmark = needs_mosquitto
 OWN = ("state", "availability", "drift", "reply", "event", "history/tick")
@@ -156,13 +165,41 @@ def test_a_rig_that_is_removed_has_no_rights_from_then_on(fleet: tuple[FleetPlac
     old = papers(places, "rig-1")
     with connected(port, context(old), "rig-1-lane") as rig:
         assert answer(rig, "greenhouse/rig-1/state") != "Not authorized"
-        assert remove_rig(places, "rig-1", erase=True) == ""
+        assert remove_rig(places, "rig-1", erase=False) == ""
         wait_for(lambda: answer(rig, "greenhouse/rig-1/event") == "Not authorized", "the end of its rights")
     papers(places, "rig-1", "again")
     with connected(port, context(old), "rig-1-lane") as rig:  # a certificate of before is no other rig's
         assert answer(rig, "greenhouse/rig-1/event") == "Not authorized"
     with connected(port, context(places.folder.parent / "again"), "rig-1-lane") as rig:
         assert answer(rig, "greenhouse/rig-1/event") != "Not authorized"
+
+
+@needs_victoria
+def test_a_rig_is_erased_from_both_stores_or_it_is_said_what_is_left(
+    fleet: tuple[FleetPlaces, FleetMachine], tmp_path: Path
+) -> None:
+    places, machine = fleet
+    settings = load(places.settings)
+    for name in ("rig-1", "rig-10"):
+        papers(places, name)
+    with pytest.raises(DataError, match=r"rig-1 has no rights any more, but .*numbers\.url.*again"):
+        remove_rig(places, "rig-1", erase=True)
+    assert rows(settings) == ["rig-1", "rig-10"]
+    with Victoria(tmp_path, port=machine.ports.numbers):
+        numbers, now = Numbers(settings.numbers), time.time()
+        for name in ("rig-1", "rig-10"):
+            numbers.store(lines(name, now, ((head("temp_air_c"), 21.5), (head("seq"), 1))))
+        assert remove_rig(places, "rig-1", erase=True) == ""
+        found = numbers.series('{rig=~".+"}', now - 60.0, now + 60.0)
+        assert {series.labels["rig"] for series in found} == {"rig-10"}
+        with pytest.raises(RequestError, match="rig-1 is no rig"):
+            remove_rig(places, "rig-1", erase=True)
+    assert rows(settings) == ["rig-10"]
+
+
+def rows(settings: FleetSettings) -> list[str]:
+    with Session(open_database(settings.database)) as session:
+        return list(session.scalars(select(FleetRig.name).order_by(FleetRig.name)))
 
 
 def test_what_the_broker_kept_of_a_rig_goes_with_it(fleet: tuple[FleetPlaces, FleetMachine]) -> None:
