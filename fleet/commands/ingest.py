@@ -2,14 +2,11 @@
 
 import argparse
 import signal
-import sys
 import threading
 from pathlib import Path
 
-from sqlalchemy.exc import SQLAlchemyError
-
-from fleet.database.base import DatabaseAway, open_database
-from fleet.ingest.loop import RETRY_MAX_S, Ingest
+from fleet.database.base import open_database
+from fleet.ingest.loop import Ingest
 from fleet.settings import FleetSettings
 
 
@@ -19,17 +16,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
-    """Run until SIGTERM or SIGINT; wait for a database that is away. Errors: ConfigError, DataError"""
+    """Run until SIGTERM or SIGINT; a database that goes away meanwhile is waited for.
+
+    Errors : ConfigError; DataError for a database that cannot be opened at the start
+    """
     ended = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())
-    while not ended.is_set():
-        try:
-            service = Ingest(settings, open_database(settings.database), arguments.journal)
-        except (DatabaseAway, SQLAlchemyError) as error:
-            print(f"ingest: {error}; again in {RETRY_MAX_S:g} s", file=sys.stderr, flush=True)
-            ended.wait(RETRY_MAX_S)
-        else:
-            service.run(ended)
-            break
+    # A wrong setting is told by the end; of a database that is only away, systemd starts this one again.
+    Ingest(settings, open_database(settings.database), arguments.journal).run(ended)
     return 0

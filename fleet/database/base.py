@@ -3,7 +3,7 @@
 from typing import Any
 
 from sqlalchemy import Engine, create_engine, event, make_url, select
-from sqlalchemy.exc import OperationalError, SQLAlchemyError
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from edge.config.secrets import read_secret
@@ -19,10 +19,6 @@ POSTGRES = {  # libpq: a server whose machine is gone is noticed after half a mi
     "keepalives_count": 4,
     "tcp_user_timeout": 30_000,
 }
-
-
-class DatabaseAway(DataError):
-    """A database that can't be reached now; a later try may succeed."""
 
 
 class FleetTable(DeclarativeBase):
@@ -59,8 +55,7 @@ def open_database(settings: DatabaseSettings) -> Engine:
             if not found:
                 session.add(TableVersion(version=VERSION))
     except SQLAlchemyError as error:
-        kind = DatabaseAway if isinstance(error, OperationalError) else DataError
-        raise kind(f"database.url: {url.render_as_string()}: {error.__cause__ or error}") from None
+        raise DataError(f"database.url: {url.render_as_string()}: {error.__cause__ or error}") from None
     if found and list(found) != [VERSION]:
         raise DataError(f"database.url: its tables are of version {found[0]}, this software knows {VERSION}")
     return engine

@@ -17,7 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from edge.app.systemd import Notifier
 from edge.config.settings import NAME
-from edge.core.errors import ConfigError
+from edge.core.errors import ConfigError, DataError
 from edge.core.event_log import Allowance
 from edge.core.plain_text import plain
 from fleet.ingest.batch import Batch, Times
@@ -41,14 +41,17 @@ SAID_BURST, SAID_PER_S = 10, 0.1  # lines about refusals; the database counts al
 
 
 class Ingest:
-    """The service: all that rigs send, once in store. journal : a file of measurements, or None"""
+    """The service: all that rigs send, once in store. journal : a file of measurements, or None
+
+    Errors : ConfigError; DataError for a database that cannot be read
+    """
 
     def __init__(self, settings: FleetSettings, engine: Engine, journal: Path | None = None) -> None:
         self._settings, self._journal = settings, journal
         self._numbers = Numbers(settings.numbers)
         self._inbox = FleetInbox(settings.mqtt, settings.ingest.window)
         books = Books(engine)
-        self._ledgers = {name: RigLedger(settings.ingest.gap_wait_s) for name in books.names()}
+        self._ledgers = {name: RigLedger(settings.ingest.gap_wait_s) for name in _names(books)}
         self._writer = BatchWriter(self._numbers, books, self._ledgers)
         self._allowance = Allowance(SAID_BURST, SAID_PER_S, time.monotonic)
         self._look_at_s = 0.0
@@ -191,6 +194,13 @@ class Ingest:
                     self._inbox.ask(rig, "resend", json.dumps({"first_seq": span[0], "last_seq": span[1]}))
         took_s = time.monotonic() - now
         self._look_at_s = now + max(LOOK_S, took_s / LOOK_SHARE)
+
+
+def _names(books: Books) -> set[str]:
+    try:
+        return books.names()
+    except SQLAlchemyError as error:
+        raise DataError(f"database.url: rigs can't be read: {plain(str(error))}") from None
 
 
 def _say(text: str) -> None:
