@@ -13,6 +13,8 @@ from fleet.ingest.state import parse_state
 from fleet.ingest.tick import PAYLOAD_MAX, Tick, parse_body, parse_tick
 from fleet.ingest.told import HeardTwin, parse_twin
 
+CLEARED = ("availability", "state", "twin")  # retained topics: without a payload the broker keeps none
+
 
 @dataclass(frozen=True, slots=True)
 class Times:
@@ -27,18 +29,23 @@ class Times:
 class Batch:
     """rigs : what each rig that was heard says of itself; absent : what rigs have said that they have not
 
+    gone : rigs that nobody speaks for any more
     twins : the newest by rig, None of a rig that takes its own back
     """
 
     times: Times
     rigs: dict[str, dict[str, Any]] = field(default_factory=dict)
     ticks: list[Tick] = field(default_factory=list)
+    gone: set[str] = field(default_factory=set)
     twins: dict[str, HeardTwin | None] = field(default_factory=dict)
     absent: list[tuple[str, str, Span]] = field(default_factory=list)
     refused: list[tuple[str, Refused]] = field(default_factory=list)
 
     def hear(self, message: Message, ledger: RigLedger) -> None:
         """Take one message of a rig in."""
+        if not message.size and message.what in CLEARED:
+            self._clear(message, ledger)
+            return
         self.rigs.setdefault(message.rig, {})
         try:
             _HEARD[message.what](self, message, ledger)
@@ -47,11 +54,20 @@ class Batch:
         except Exception as error:  # our mistake; counted, for it would stop all other rigs, again and again
             self.refused.append((message.rig, Refused("fault", f"{message.what}: {plain(repr(error))}")))
 
+    def _clear(self, message: Message, ledger: RigLedger) -> None:
+        """Take a retained topic that was emptied: the rig is not heard by that, for it was removed."""
+        if message.what == "twin":
+            self.twins[message.rig] = None
+        elif message.what == "availability":
+            ledger.is_online = False
+            self.gone.add(message.rig)
+
     def _availability(self, message: Message, ledger: RigLedger) -> None:
         if message.payload not in (b"online", b"offline"):
             raise Refused("value", f"availability: {quote(message.payload)} is not online or offline")
         ledger.is_online = message.payload == b"online"
         self.rigs[message.rig]["is_online"] = ledger.is_online
+        self.gone.discard(message.rig)
 
     def _state(self, message: Message, ledger: RigLedger) -> None:
         _check_size(message)

@@ -26,6 +26,7 @@ class Entry:
 
     rigs : values of columns of `rigs`, by name, of each rig that was heard
     spans : before and after, by rig, of the histories that changed
+    gone : rigs that are online no more, where they have a row
     refused : counts and the newest text, by rig and reason
     """
 
@@ -34,6 +35,7 @@ class Entry:
     spans: Mapping[str, tuple[Histories, Histories]] = field(default_factory=dict)
     ticks: list[Tick] = field(default_factory=list)
     twins: Mapping[str, HeardTwin | None] = field(default_factory=dict)
+    gone: Iterable[str] = ()
     refused: Counter[tuple[str, str]] = field(default_factory=Counter)
     texts: dict[tuple[str, str], str] = field(default_factory=dict)
 
@@ -96,6 +98,8 @@ def _write_rigs(session: Session, entry: Entry) -> None:
         changed.setdefault(tuple(row), []).append(row)
     for rows in changed.values():
         session.execute(update(FleetRig), rows)
+    for names in _portions(list(entry.gone)):
+        session.execute(update(FleetRig).where(FleetRig.name.in_(names)).values(is_online=False))
 
 
 def _changes(entry: Entry, kind: str) -> tuple[list[Row], list[Row]]:

@@ -96,7 +96,7 @@ class BatchWriter:
         refused: RigRefusals,
     ) -> Entry:
         spans = {rig: (self._ledgers[rig].histories, plan.histories) for rig, (plan, _) in plans.items()}
-        entry = Entry(batch.times.utc, batch.rigs, spans, fresh, batch.twins)
+        entry = Entry(batch.times.utc, batch.rigs, spans, fresh, batch.twins, batch.gone)
         for rig, error in refused:
             entry.refused[rig, error.reason] += 1
             entry.texts[rig, error.reason] = plain(str(error), 500)

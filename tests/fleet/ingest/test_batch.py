@@ -1,18 +1,25 @@
 """Meanings of messages: states, availability, answers, and what is not believed."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 from history_records import START_UTC, tick
+from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from edge.formats.tick_json import tick_json
 from edge.twin.twin_file import twin_of
+from fleet.database.base import open_database
+from fleet.database.rigs import FleetRig
 from fleet.ingest.batch import Batch, Times
+from fleet.ingest.books import Books, Entry
 from fleet.ingest.inbox import Message
 from fleet.ingest.ledger import HistoryLedger, RigLedger
 from fleet.ingest.spans import Spans
 from fleet.ingest.tick import PAYLOAD_MAX
+from fleet.settings import DatabaseSettings
 
 TIMES = Times(START_UTC + 3600.0, 100.0, START_UTC - 86400.0)
 
@@ -73,6 +80,28 @@ def test_a_tick_with_an_unknown_quantity_is_stored_and_told() -> None:
     batch = hear("history/tick", body)
     assert [each.seq for each in batch.ticks] == [5]
     assert refusals(batch) == [("quantity", "tick 5: unknown: new_quantity")]
+
+
+@pytest.mark.parametrize("what", ["availability", "state", "twin"])
+def test_a_retained_topic_that_was_emptied_is_no_refusal_and_no_word_of_the_rig(what: str) -> None:
+    ledger = RigLedger(0.0)
+    ledger.is_online = True
+    batch = hear(what, b"", ledger)
+    assert (batch.refused, batch.rigs) == ([], {})
+    assert (batch.gone == {"rig-1"}) == (not ledger.is_online) == (what == "availability")
+
+
+@pytest.mark.parametrize(("is_known", "rows"), [(True, [("rig-1", False)]), (False, [])])
+def test_a_rig_that_is_gone_is_offline_and_gets_no_row_anew(
+    tmp_path: Path, is_known: bool, rows: list[tuple[str, bool]]
+) -> None:
+    engine = open_database(DatabaseSettings(url=f"sqlite:///{tmp_path}/fleet.db"))
+    if is_known:
+        Books(engine).write(Entry(1.0, {"rig-1": {"is_online": True}}))
+    Books(engine).write(Entry(2.0, gone={"rig-1"}))
+    with Session(engine) as session:
+        assert [tuple(row) for row in session.execute(select(FleetRig.name, FleetRig.is_online))] == rows
+    engine.dispose()
 
 
 def asked() -> RigLedger:
