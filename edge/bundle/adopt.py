@@ -4,13 +4,12 @@ A hybrid corrects one twin and no other, so it is left out until it is trained o
 """
 
 import json
-import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from edge.bundle.manifest import TWIN, Manifest
+from edge.bundle.manifest import SHA256, TWIN, Manifest
 from edge.bundle.roles import ADOPTED
 from edge.bundle.sign import ManifestFacts, sign_folder
 from edge.bundle.store import BundleStore
@@ -21,7 +20,6 @@ from edge.models.pbm import read_twin
 from edge.twin.twin_file import TwinFile, read_twin_file
 
 REPORT = "report.json"
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 _BASE_CHARS = 50  # of the version before, so that the new one is no longer than a version may be
 
 
@@ -79,7 +77,7 @@ def with_twin(store: BundleStore, twin: Path, created_utc: str, key: Path, folde
 def _data_sha256(file: TwinFile, before: Manifest) -> str:
     """Return the hash of the runs that the twin was fitted on, else of the former models' runs."""
     told = file.provenance.get("data_sha256")
-    return told if isinstance(told, str) and _SHA256.fullmatch(told) else before.data_sha256
+    return told if isinstance(told, str) and SHA256.fullmatch(told) else before.data_sha256
 
 
 def _note(path: Path, adopted: dict[str, Any]) -> None:

@@ -29,7 +29,8 @@ UNITS = {
 }
 
 Version = Annotated[str, Rule(pattern=r"[0-9A-Za-z][0-9A-Za-z._-]{0,63}")]
-Sha256 = Annotated[str, Rule(pattern=r"[0-9a-f]{64}")]
+SHA256 = re.compile(r"[0-9a-f]{64}")
+Sha256 = Annotated[str, Rule(pattern=SHA256.pattern)]
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")  # flat: no folder, nothing hidden, no ".."
 VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,63}")
 

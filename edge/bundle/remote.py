@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from urllib.parse import urlsplit
 
 from edge.bundle.archive import TOTAL_BYTES_MAX
-from edge.bundle.manifest import VERSION
+from edge.bundle.manifest import SHA256, VERSION
 from edge.bundle.roles import Roles, activate, reject_shadow
 from edge.bundle.store import BundleStore
 from edge.core.errors import DataError, RequestError
@@ -29,7 +29,6 @@ ACTIONS = (INSTALL, ROLL_BACK)
 SILENCE_MAX_S = 30.0  # of the place where bundles are
 FETCH_MAX_S = 600.0  # 32 MB over a slow line
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")  # no folder, no query: nothing leads out of the place
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 _READ_BYTES = 1 << 16
 
 Order = Callable[[BundleStore], Roles]
@@ -52,7 +51,7 @@ def install_order(source: BundleSource, url: str | None, sha256: str | None) -> 
     place = source.address.rstrip("/") + "/"
     if not url or not url.startswith(place) or not _NAME.fullmatch(url.removeprefix(place)):
         raise RequestError(f"url: {quote(url)} is no file directly under bundle.source, {place}")
-    if sha256 is None or not _SHA256.fullmatch(sha256):
+    if sha256 is None or not SHA256.fullmatch(sha256):
         raise RequestError(f"sha256: {quote(sha256)} is no SHA-256 in lower case")
     return partial(_install, url=url, sha256=sha256, authority=source.authority)
 
