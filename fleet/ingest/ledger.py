@@ -1,36 +1,46 @@
 """Ledgers: of each rig the ticks that are stored, those that never come, and the newest that it named."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from edge.core.messages import Severity
 from fleet.ingest.asks import Asks
 from fleet.ingest.refusal import Refused
 from fleet.ingest.spans import Span, Spans
-from fleet.ingest.tick import Tick
+from fleet.ingest.tick import Tick, TickEvent
 
 JUMP_MAX = 1_000_000  # ticks; two years at one a minute, eleven days at one a second
+JUMPED = "history.jumped"  # key of the event
 SPANS_MAX = 10_000  # of one history; more are those of a rig that sends every second tick
 HISTORIES_MAX = 64  # of one rig: a new one is begun when its card is changed or its file is broken
+AGREE_TICKS = 10  # in a row: so many show that numbers which have jumped are the rig's own from now on
 LATER_MAX_S = 3600.0  # an older tick can't be this much later, but where a clock was set
 
 
 @dataclass(slots=True)
 class HistoryLedger:
-    """Ticks of one history. newest_utc : of the tick with the largest number, 0 before one came"""
+    """Ticks of one history. newest_utc : of the tick with the largest number, 0 before one came
+
+    far : first and last of the ticks in a row that were refused as a jump; far_utc : of the last one
+    """
 
     stored: Spans = field(default_factory=Spans)
     absent: Spans = field(default_factory=Spans)
     newest_utc: float = 0.0
+    far: Span = (0, 0)
+    far_utc: float = 0.0
 
     def copy(self) -> "HistoryLedger":
         """Return the same, to be changed apart."""
-        return HistoryLedger(self.stored.copy(), self.absent.copy(), self.newest_utc)
+        return HistoryLedger(self.stored.copy(), self.absent.copy(), self.newest_utc, self.far, self.far_utc)
 
     def take(self, tick: Tick) -> bool:
         """Note a tick; return whether it is new. Errors: Refused"""
         if tick.seq in self.stored:
             return False
         self._check(tick)
+        if self._is_jump(tick):  # the rig's new numbers: none lie between, and those of the row are asked for
+            self.absent.add(self.stored.newest + 1, self.far[0] - 1)
         self.stored.add(tick.seq, tick.seq)
         self.absent.cut(tick.seq, tick.seq)
         if tick.seq == self.stored.newest:
@@ -49,12 +59,24 @@ class HistoryLedger:
 
     def _check(self, tick: Tick) -> None:
         newest = self.stored.newest
-        if newest and tick.seq > newest + JUMP_MAX:
+        if self._is_jump(tick) and not self._goes_on(tick):
             raise Refused("jump", f"tick {tick.seq}: the newest before it was {newest}")
         if tick.seq < newest and self.newest_utc and tick.utc > self.newest_utc + LATER_MAX_S:
             raise Refused("order", f"tick {tick.seq}: it is later than tick {newest}")
         if len(self.stored) >= SPANS_MAX and not self.stored.touches(tick.seq):
             raise Refused("scattered", f"tick {tick.seq}: {SPANS_MAX} spans with gaps between them")
+
+    def _is_jump(self, tick: Tick) -> bool:
+        return self.stored.newest > 0 and tick.seq > self.stored.newest + JUMP_MAX
+
+    def _goes_on(self, tick: Tick) -> bool:
+        """Note a tick that has jumped; return whether as many as AGREE_TICKS have followed one another."""
+        first, last = self.far
+        if tick.is_resend or first <= tick.seq <= last:
+            return False
+        is_next = tick.seq == last + 1 and tick.utc >= self.far_utc
+        self.far, self.far_utc = (first if is_next else tick.seq, tick.seq), tick.utc
+        return self.far[1] - self.far[0] + 1 >= AGREE_TICKS
 
 
 class RigLedger:
@@ -98,12 +120,21 @@ class RigPlan:
         self.histories: dict[str, HistoryLedger] = {}  # those that a batch changes
         self.current = ledger.current
 
-    def take(self, tick: Tick) -> bool:
-        """Note a tick; return whether it is new. Errors: Refused"""
-        is_new = self._history(tick.history_id).take(tick)
+    def take(self, tick: Tick) -> Tick | None:
+        """Note a tick; return it if it is new, with an event where numbers have jumped. Errors: Refused"""
+        own = self._history(tick.history_id)
+        before = own.stored.newest
+        if not own.take(tick):
+            fresh = None
+        elif before and tick.seq > before + JUMP_MAX:
+            text = f"numbers of its ticks go on from {own.far[0]}; the newest before was {before}"
+            event = TickEvent(JUMPED, Severity.WARNING.value, text, tick.utc)
+            fresh = replace(tick, events=(*tick.events, event))
+        else:
+            fresh = tick
         if not tick.is_resend:
             self.current = tick.history_id
-        return is_new
+        return fresh
 
     def give_up(self, history_id: str, span: Span) -> None:
         """Note ticks that never come. One far ahead of all others would be a gap, and is left out."""

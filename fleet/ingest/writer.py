@@ -77,10 +77,11 @@ class BatchWriter:
         for tick in batch.ticks:
             plan, fresh = plan_of(tick.rig)
             try:
-                if plan.take(tick):
-                    fresh.append(tick)
+                new = plan.take(tick)
             except Refused as error:
                 refused.append((tick.rig, error))
+            else:
+                fresh += [] if new is None else [new]
         for rig, lie in batch.refused:
             if lie.seq:
                 plan_of(rig)[0].give_up(lie.history_id, (lie.seq, lie.seq))

@@ -1,8 +1,18 @@
 """Ledgers: the ticks that are taken into a history, and those that are asked for."""
 
+from collections.abc import Iterable
+
 import pytest
 
-from fleet.ingest.ledger import HISTORIES_MAX, JUMP_MAX, SPANS_MAX, HistoryLedger, RigLedger, RigPlan
+from fleet.ingest.ledger import (
+    AGREE_TICKS,
+    HISTORIES_MAX,
+    JUMP_MAX,
+    SPANS_MAX,
+    HistoryLedger,
+    RigLedger,
+    RigPlan,
+)
 from fleet.ingest.refusal import Refused
 from fleet.ingest.spans import Spans
 from fleet.ingest.tick import Tick
@@ -29,7 +39,7 @@ def rig(*ticks: Tick, told: int = 0) -> RigLedger:
 
 def test_a_tick_is_new_once() -> None:
     plan = RigPlan(rig(tick(1)))
-    assert [plan.take(tick(seq)) for seq in (1, 2, 2, 4, 3)] == [False, True, False, True, True]
+    assert [plan.take(tick(seq)) is not None for seq in (1, 2, 2, 4, 3)] == [False, True, False, True, True]
     assert list(plan.histories["h1"].stored) == [(1, 4)]
 
 
@@ -102,3 +112,60 @@ def test_what_the_database_has_is_the_ledger() -> None:
     own.load({"old": HistoryLedger(Spans([(1, 3)])), "new": HistoryLedger(Spans([(2, 9)]))})
     assert own.current == "new"
     assert own.missing() == [(1, 1)]
+
+
+FAR = 3 * JUMP_MAX
+
+
+def refused_ticks(own: RigLedger, ticks: Iterable[Tick]) -> list[Tick]:
+    """Give a rig ticks, a batch each; return those that it is not believed."""
+    refused = []
+    for each in ticks:
+        plan = RigPlan(own)
+        try:
+            plan.take(each)
+        except Refused as error:
+            assert error.reason == "jump"
+            refused.append(each)
+        plan.settle()
+    return refused
+
+
+def test_numbers_that_have_jumped_and_go_on_are_the_rigs_own_again() -> None:
+    own = rig(tick(1), tick(2))
+    refused = refused_ticks(own, [tick(FAR + number, utc=START_UTC + number) for number in range(9)])
+    assert len(refused) == AGREE_TICKS - 1 and own.missing() == []
+    plan = RigPlan(own)
+    taken = plan.take(tick(FAR + 9, utc=START_UTC + 9))
+    assert taken is not None
+    (event,) = taken.events
+    assert (event.key, event.severity) == ("history.jumped", "warning")
+    assert event.text == f"numbers of its ticks go on from {FAR}; the newest before was 2"
+    plan.settle()
+    assert list(own.histories["h1"].stored) == [(1, 2), (FAR + 9, FAR + 9)]
+    assert list(own.histories["h1"].absent) == [(3, FAR - 1)]
+    assert own.missing() == [(FAR, FAR + 8)]  # the refused ones, which the rig still has
+    assert refused_ticks(own, [tick(FAR + number, utc=START_UTC + number) for number in range(9)]) == []
+    follower = RigPlan(own).take(tick(FAR + 10, utc=START_UTC + 10))
+    assert follower is not None and follower.events == ()
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        [FAR + 2 * step for step in range(30)],  # none follows another
+        [FAR, *range(FAR, FAR + 9), *range(2 * FAR, 2 * FAR + 9), *range(FAR, FAR + 9)],
+        [FAR] * 30,
+    ],
+)
+def test_far_numbers_that_do_not_go_on_are_never_believed(numbers: list[int]) -> None:
+    own = rig(tick(1))
+    assert len(refused_ticks(own, [tick(seq, utc=START_UTC + seq / 1e6) for seq in numbers])) == len(numbers)
+    assert list(own.histories["h1"].stored) == [(1, 1)] and not own.histories["h1"].absent
+
+
+def test_neither_resent_ticks_nor_a_clock_that_goes_back_make_a_row() -> None:
+    own = rig(tick(1))
+    resent = [tick(FAR + number, utc=START_UTC + number, is_resend=True) for number in range(30)]
+    back = [tick(FAR + number, utc=START_UTC - number) for number in range(30)]
+    assert refused_ticks(own, [*resent, *back]) == [*resent, *back]
