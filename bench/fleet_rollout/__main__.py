@@ -111,7 +111,7 @@ def roll_out(seed: int, scenario: str, costs: SimulatedCosts) -> RolloutRow:
         engine = open_database(DatabaseSettings(url=f"sqlite:///{folder}/fleet.db"))
         with Session(engine) as session, session.begin():
             session.add_all(
-                FleetRig(name=f"rig-{box}", kind=kind, first_utc=1.0, last_utc=1.0, is_online=True)
+                FleetRig(name=f"rig-{box}", kind=kind, first_utc=1.0, last_utc=math.inf, is_online=True)
                 for box, kind in enumerate(costs.kinds)
             )
             session.add(

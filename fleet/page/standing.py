@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-SILENT_S = 600.0  # without a word, after which a rig that says nothing else counts as offline
+from fleet.database.rigs import SILENT_S
+
 OFF_REFERENCE_K = 1.0  # a rig at rest stays within a tenth of it
 
 

@@ -7,7 +7,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from fleet.database.bundles import RolloutBlock, RolloutRig, RolloutWave
-from fleet.database.rigs import FleetRig
+from fleet.database.rigs import FleetRig, are_there
 from fleet.rollout.costs import Costs
 from fleet.rollout.judge import BLOCK_H, DAY_H, HOUR_S, difference, relative_change
 from fleet.rollout.states import RigState
@@ -34,7 +34,7 @@ class ComparedRigs:
     waiting: Sequence[ComparedRig]
 
 
-def who_compares(session: Session, wave: RolloutWave) -> dict[str, ComparedRigs]:
+def who_compares(session: Session, wave: RolloutWave, utc: float) -> dict[str, ComparedRigs]:
     """Return who is compared with whom, by kind.
 
     Boxes of earlier waves keep their bundle while a later wave is judged, so they are compared with too; in
@@ -58,7 +58,7 @@ def who_compares(session: Session, wave: RolloutWave) -> dict[str, ComparedRigs]
 
     found = {row.kind: ComparedRigs([], []) for row in changed}
     for kind in found:
-        stays = select(FleetRig.name).where(FleetRig.kind == kind, FleetRig.is_online).order_by(FleetRig.name)
+        stays = select(FleetRig.name).where(FleetRig.kind == kind, are_there(utc)).order_by(FleetRig.name)
         waiting = [rig(name) for name in session.scalars(stays) if name not in moved]
         own = [rig(row.rig) for row in changed if row.kind == kind]
         found[kind] = ComparedRigs(own, waiting[:COMPARED_MAX])

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from edge.core.errors import DataError
 from fleet.database.bundles import BundleRollout, RolloutBlock, RolloutRig, RolloutWave
-from fleet.database.rigs import FleetRig
+from fleet.database.rigs import FleetRig, are_there
 from fleet.rollout.archives import archive_url
 from fleet.rollout.begin import rigs_of, stop
 from fleet.rollout.blocks import due, take_block, who_compares
@@ -87,7 +87,7 @@ class RolloutRunner:
             return [self._stop(session, rollout, why, utc)]
         wave = session.get(RolloutWave, (rollout.number, rollout.wave))
         if wave is None or wave.state == WaveState.PASSED:
-            return [self._next_wave(session, rollout, utc)]
+            return self._next_wave(session, rollout, utc)
         if wave.state == WaveState.INSTALLING:
             return self._await_rigs(session, rollout, wave, utc)
         return self._judge(session, rollout, wave, utc)
@@ -96,14 +96,16 @@ class RolloutRunner:
         stop(session, rollout, why, utc)
         return f"rollout {rollout.number} is stopped in wave {rollout.wave}: {why}"
 
-    def _next_wave(self, session: Session, rollout: BundleRollout, utc: float) -> str:
+    def _next_wave(self, session: Session, rollout: BundleRollout, utc: float) -> list[str]:
         if is_last(rollout.wave):
-            return self._end(session, rollout, utc)
+            return [self._end(session, rollout, utc)]
+        if session.scalar(select(FleetRig.name).where(are_there(utc)).limit(1)) is None:
+            return []  # nobody is heard, as while ingest is away: a wave would pass without a rig
         rows = rigs_of(session, rollout)
         reached: dict[str, int] = {}
         for row in rows:
             reached[row.kind] = reached.get(row.kind, 0) + 1
-        kinds = _kinds(session, rollout, {row.rig for row in rows})
+        kinds = _kinds(session, rollout, {row.rig for row in rows}, utc)
         rollout.wave += 1
         session.add(
             RolloutWave(
@@ -123,10 +125,10 @@ class RolloutRunner:
                     since_utc=utc,
                 )
             )
-        return f"rollout {rollout.number}: wave {rollout.wave} begins with {len(chosen)} rigs"
+        return [f"rollout {rollout.number}: wave {rollout.wave} begins with {len(chosen)} rigs"]
 
     def _end(self, session: Session, rollout: BundleRollout, utc: float) -> str:
-        left = [name for kind in _kinds(session, rollout, set(), False).values() for name in kind.waiting]
+        left = [name for kind in _kinds(session, rollout, set(), None).values() for name in kind.waiting]
         left = sorted(set(left) - {row.rig for row in rigs_of(session, rollout)})
         rollout.state, rollout.ended_utc = RolloutState.DONE, utc
         rollout.why = "all waves have passed"
@@ -172,7 +174,7 @@ class RolloutRunner:
             RolloutBlock.rollout == rollout.number, RolloutBlock.wave == wave.wave
         )
         blocks = list(session.scalars(asked.order_by(RolloutBlock.begin_utc)))
-        rigs = who_compares(session, wave)
+        rigs = who_compares(session, wave, utc)
         try:
             for begin_utc in due(wave, [block.begin_utc for block in blocks], utc):
                 taken = [take_block(wave, kind, own, begin_utc, self._costs) for kind, own in rigs.items()]
@@ -208,9 +210,9 @@ class RolloutRunner:
 
 
 def _kinds(
-    session: Session, rollout: BundleRollout, reached: set[str], online: bool = True
+    session: Session, rollout: BundleRollout, reached: set[str], there_utc: float | None
 ) -> dict[str, KindRigs]:
-    """Return the rigs of a rollout by kind; those that wait are online where so asked."""
+    """Return the rigs of a rollout by kind; those that wait are there at a time where so asked."""
     found: dict[str, list[FleetRig]] = {}
     for rig in session.scalars(select(FleetRig).order_by(FleetRig.name)):
         if not rollout.group or rig.group == rollout.group:
@@ -218,7 +220,11 @@ def _kinds(
     return {
         kind: KindRigs(
             len(rigs),
-            [rig.name for rig in rigs if rig.name not in reached and (rig.is_online or not online)],
+            [
+                rig.name
+                for rig in rigs
+                if rig.name not in reached and (there_utc is None or rig.is_there(there_utc))
+            ],
         )
         for kind, rigs in found.items()
     }

@@ -19,7 +19,7 @@ from edge.twin.twin_file import TwinFile, twin_of, write_twin_file
 from edge.twin.value import Value
 from fleet.database.base import open_database
 from fleet.database.events import RigEvent
-from fleet.database.rigs import FleetRig
+from fleet.database.rigs import SILENT_S, FleetRig, are_there
 from fleet.database.twins import ToldTwin
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, NumbersSettings
@@ -74,6 +74,21 @@ def test_ticks_states_and_events_are_stored(fleet: Fleet) -> None:
         ("rig-1", 1, 0, "board.link_lost", "alarm")
     ]
     assert fleet.ingest.stop() == 0
+
+
+def test_a_rig_whose_last_will_was_lost_with_the_broker_is_away_by_its_age(fleet: Fleet) -> None:
+    with RigWithoutBoard(fleet.folder, "rig-1", fleet.broker.port) as rig:
+        rig.tick()
+        wait_until_all_is_stored([rig], fleet.numbers, fleet.engine, say=fleet.ingest.log)
+        wait_for(lambda: (row := fleet.rig("rig-1")) and row.is_online and row.state.get("seq") == 1)
+        fleet.broker.kill()
+    wait_for(lambda: "disconnected from the broker" in fleet.ingest.log)
+    row = fleet.rig("rig-1")
+    assert row is not None and row.is_online  # its last word
+    with Session(fleet.engine) as session:
+        for utc, found in ((row.last_utc + 1.0, ["rig-1"]), (row.last_utc + SILENT_S, [])):
+            assert row.is_there(utc) == bool(found)
+            assert session.scalars(select(FleetRig.name).where(are_there(utc))).all() == found
 
 
 def test_a_twin_is_kept_while_it_runs(fleet: Fleet) -> None:

@@ -22,6 +22,7 @@ from fleet.settings import DatabaseSettings, RolloutSettings
 ADDRESS = "http://fleet.example/bundles"
 SETTINGS = RolloutSettings(address=ADDRESS)
 BEGIN_UTC = 500_000 * HOUR_S
+ALWAYS = math.inf  # heard at any time
 SHA256, VERSION = "ab" * 32, "2.0"
 
 
@@ -54,7 +55,9 @@ class FleetInMemory:
             for kind in self.kinds:
                 for number in range(self.count):
                     name = f"{kind.replace(' ', '_')}-{number}"
-                    session.add(FleetRig(name=name, kind=kind, first_utc=1.0, last_utc=2.0, is_online=True))
+                    session.add(
+                        FleetRig(name=name, kind=kind, first_utc=1.0, last_utc=ALWAYS, is_online=True)
+                    )
             session.add(
                 FleetBundle(
                     sha256=SHA256, version=VERSION, name="models", created_utc="", added_utc=1.0, archive=b"x"

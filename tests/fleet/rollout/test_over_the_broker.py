@@ -97,7 +97,7 @@ def fleet_database(folder: Path) -> Engine:
     engine = open_database(DatabaseSettings(url=f"sqlite:///{folder}/fleet.db"))
     with Session(engine) as session, session.begin():
         for name in RIGS:
-            session.add(FleetRig(name=name, kind="tent", first_utc=1.0, last_utc=1.0, is_online=True))
+            session.add(FleetRig(name=name, kind="tent", first_utc=1.0, last_utc=time.time(), is_online=True))
     return engine
 
 

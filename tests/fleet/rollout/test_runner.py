@@ -1,6 +1,6 @@
 """The runner over a fleet in memory: passes, stops, rolls back, and goes on after a kill at any look."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -218,3 +218,22 @@ def test_a_runner_whose_work_another_one_has_taken_writes_and_sends_nothing(
     assert (fleet.orders, fleet.state().wave) == ([], 0)
     RolloutRunner(fleet.engine, SETTINGS.address, fleet, fleet.costs, other.check).look(fleet.utc)
     assert fleet.state().wave == 1 and fleet.orders
+
+
+def test_a_rig_of_which_nothing_was_heard_for_long_is_away_whatever_it_said_last(
+    database: DatabaseSettings,
+) -> None:
+    fleet = FleetInMemory(database, count=6, kinds=("tent",))
+    heard_of(fleet, range(6), fleet.utc - 601.0)
+    fleet.look()
+    assert (fleet.orders, fleet.state().wave) == ([], 0)  # nobody is heard: no wave passes without a rig
+    heard_of(fleet, range(3), fleet.utc)
+    fleet.look()
+    assert fleet.state().wave == 1
+    assert {rig for rig, _ in fleet.orders} <= {"tent-0", "tent-1", "tent-2"} and fleet.orders
+
+
+def heard_of(fleet: FleetInMemory, numbers: Iterable[int], utc: float) -> None:
+    with Session(fleet.engine) as session, session.begin():
+        for number in numbers:
+            session.get_one(FleetRig, f"tent-{number}").last_utc = utc
