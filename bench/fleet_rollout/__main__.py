@@ -23,7 +23,7 @@ from bench.header import header
 from edge.bundle import remote
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout, FleetBundle, RolloutWave
-from fleet.database.lease import Lease
+from fleet.database.lease import FleetLease
 from fleet.database.rigs import FleetRig
 from fleet.rollout.begin import begin
 from fleet.rollout.blocks import BEFORE_S
@@ -125,7 +125,7 @@ def roll_out(seed: int, scenario: str, costs: SimulatedCosts) -> RolloutRow:
                 )
             )
         number = begin(engine, SETTINGS, f"{seed:064x}", "", start)
-        lease = Lease(engine, "rollouts")
+        lease = FleetLease(engine, "rollouts")
         lease.take()
         runner = RolloutRunner(engine, SETTINGS.address, fleet, fleet.read, lease.check)
         while fleet.utc < BEGIN_UTC + HOURS * HOUR_S:

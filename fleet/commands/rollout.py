@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout, RolloutWave
-from fleet.database.lease import Lease, LeaseLost
+from fleet.database.lease import FleetLease, LeaseLost
 from fleet.rollout.archives import add_archive
 from fleet.rollout.begin import begin, rigs_of, stop_by_person
 from fleet.rollout.costs import costs_from
@@ -74,18 +74,18 @@ def _serve(settings: FleetSettings, engine: Engine) -> None:
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, end)
-    lease = Lease(engine, WORK)
+    lease = FleetLease(engine, WORK)
     # The broker knows one runner: a second connection would end the first one's, so it waits for the lease.
     while lease.wait(ended, _say):
         try:
-            with lease.kept():
+            with lease.keep():
                 _look(settings, engine, lease, ended, awake)
         except LeaseLost as error:
             _say(str(error))
 
 
 def _look(
-    settings: FleetSettings, engine: Engine, lease: Lease, ended: threading.Event, awake: threading.Event
+    settings: FleetSettings, engine: Engine, lease: FleetLease, ended: threading.Event, awake: threading.Event
 ) -> None:
     """Look again and again until the end. Errors: LeaseLost"""
     line = MqttRigLine(settings.mqtt, awake.set)

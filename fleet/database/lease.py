@@ -30,7 +30,7 @@ class LeaseLost(GreenhouseError):
     """Another process does the work now."""
 
 
-class Lease:
+class FleetLease:
     """The right to do a work. lease_s : as LEASE_S. Errors: SQLAlchemyError from every method"""
 
     def __init__(self, engine: Engine, work: str, lease_s: float = LEASE_S) -> None:
@@ -81,7 +81,7 @@ class Lease:
             raise LeaseLost(f"{self._work}: another process does it now")
 
     @contextmanager
-    def kept(self) -> Iterator[None]:
+    def keep(self) -> Iterator[None]:
         """Beat in a thread of its own, and give the work back at the end."""
         ended = threading.Event()
         thread = threading.Thread(target=self._beat, args=(ended,), name="lease")

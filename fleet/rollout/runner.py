@@ -31,7 +31,7 @@ class RolloutRunner:
     """Looks at everything at each call of `look`.
 
     address : `rollout.address`; hearing_utc : since when rigs are heard; 0.0: since ever
-    check : of the `Lease` that its holder has, so that of two runners one alone writes and sends
+    check : of the `FleetLease` that its holder has, so that of two runners one alone writes and sends
     """
 
     def __init__(

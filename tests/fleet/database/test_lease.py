@@ -16,18 +16,18 @@ from bench.support.daemon_process import ROOT
 from bench.support.postgres import Postgres, needs_postgres
 from edge.core.processes import die_with_parent
 from fleet.database.base import open_database
-from fleet.database.lease import Lease, LeaseLost
+from fleet.database.lease import FleetLease, LeaseLost
 from fleet.database.leases import WorkLease
 from fleet.settings import DatabaseSettings
 
 HOLDER = """
 import sys, threading
 from fleet.database.base import open_database
-from fleet.database.lease import Lease
+from fleet.database.lease import FleetLease
 from fleet.settings import DatabaseSettings
-lease = Lease(open_database(DatabaseSettings(url=sys.argv[1])), "rollouts")
+lease = FleetLease(open_database(DatabaseSettings(url=sys.argv[1])), "rollouts")
 assert lease.take() == ""
-with lease.kept():
+with lease.keep():
     print("taken", flush=True)
     threading.Event().wait()
 """
@@ -62,10 +62,10 @@ def on_another_machine(engine: Engine) -> None:
 
 
 def test_one_of_many_that_come_at_once_takes_it(engine: Engine) -> None:
-    leases, found = [Lease(engine, "rollouts") for _ in range(8)], list[str]()
+    leases, found = [FleetLease(engine, "rollouts") for _ in range(8)], list[str]()
     start = threading.Barrier(len(leases))
 
-    def take(lease: Lease) -> None:
+    def take(lease: FleetLease) -> None:
         start.wait()
         found.append(lease.take())
 
@@ -75,11 +75,11 @@ def test_one_of_many_that_come_at_once_takes_it(engine: Engine) -> None:
     for thread in threads:
         thread.join()
     assert len(found) == len(leases) and found.count("") == 1
-    assert Lease(engine, "another work").take() == ""
+    assert FleetLease(engine, "another work").take() == ""
 
 
 def test_it_is_free_at_once_when_it_is_given_back(engine: Engine) -> None:
-    first, second = Lease(engine, "rollouts"), Lease(engine, "rollouts")
+    first, second = FleetLease(engine, "rollouts"), FleetLease(engine, "rollouts")
     with Session(engine) as session, session.begin():
         assert first.take() == ""
         assert second.take().startswith("process ")
@@ -93,18 +93,18 @@ def test_it_is_free_at_once_when_its_process_was_killed(engine: Engine, url: str
     words = [sys.executable, "-c", HOLDER, url]
     with subprocess.Popen(words, stdout=subprocess.PIPE, cwd=ROOT, preexec_fn=die_with_parent) as process:
         assert process.stdout is not None and process.stdout.readline() == b"taken\n"
-        lease = Lease(engine, "rollouts")
+        lease = FleetLease(engine, "rollouts")
         assert lease.take().startswith(f"process {process.pid} of ")
         process.kill()
     assert lease.take() == ""
 
 
 def test_a_holder_elsewhere_keeps_it_while_it_beats_and_loses_it_in_silence(engine: Engine) -> None:
-    first, second = Lease(engine, "rollouts", lease_s=1.0), Lease(engine, "rollouts", lease_s=5.0)
+    first, second = FleetLease(engine, "rollouts", lease_s=1.0), FleetLease(engine, "rollouts", lease_s=5.0)
     assert first.take() == ""
     ended = threading.Event()
     taken: list[bool] = []
-    with first.kept():
+    with first.keep():
         on_another_machine(engine)
         thread = threading.Thread(target=lambda: taken.append(second.wait(ended, lambda text: None)))
         thread.start()
@@ -113,7 +113,7 @@ def test_a_holder_elsewhere_keeps_it_while_it_beats_and_loses_it_in_silence(engi
     thread.join()
     with Session(engine) as session, pytest.raises(LeaseLost):
         first.check(session)
-    third = Lease(engine, "rollouts", lease_s=0.5)
+    third = FleetLease(engine, "rollouts", lease_s=0.5)
     on_another_machine(engine)  # nobody beats from here on
     assert third.take() == f"process {os.getpid()} of elsewhere"
     assert third.wait(threading.Event(), lambda text: None)

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from edge.bundle import remote
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout, FleetBundle, RolloutRig, RolloutWave
-from fleet.database.lease import Lease
+from fleet.database.lease import FleetLease
 from fleet.database.rigs import FleetRig
 from fleet.rollout.begin import begin
 from fleet.rollout.judge import HOUR_S, HourCost
@@ -49,7 +49,7 @@ class FleetInMemory:
 
     def __post_init__(self) -> None:
         self.engine: Engine = open_database(self.database)
-        self.lease = Lease(self.engine, "rollouts")
+        self.lease = FleetLease(self.engine, "rollouts")
         assert self.lease.take() == ""
         with Session(self.engine) as session, session.begin():
             for kind in self.kinds:

@@ -28,7 +28,7 @@ from edge.core.errors import DataError
 from edge.mqtt.telemetry import Telemetry
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout, RolloutRig
-from fleet.database.lease import Lease
+from fleet.database.lease import FleetLease
 from fleet.database.rigs import FleetRig
 from fleet.rollout.archives import add_archive, archive_bytes
 from fleet.rollout.begin import begin, stop_by_person
@@ -122,7 +122,7 @@ def test_rigs_obey_a_rollout_and_its_end_over_the_broker(workshop: Workshop, tmp
         line = MqttRigLine(MqttSettings(host="127.0.0.1", port=broker.port, rig="fleet"))
         stack.callback(line.close)
         number = begin(engine, RolloutSettings(address=at), sha256, "", time.time())
-        lease = Lease(engine, "rollouts")
+        lease = FleetLease(engine, "rollouts")
         assert lease.take() == ""
         runner = RolloutRunner(engine, at, line, lambda *_: [], lease.check)
 

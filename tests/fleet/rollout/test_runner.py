@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from bench.support.postgres import Postgres, needs_postgres
 from edge.core.errors import DataError, RequestError
 from fleet.database.base import FleetTable
-from fleet.database.lease import Lease, LeaseLost
+from fleet.database.lease import FleetLease, LeaseLost
 from fleet.database.rigs import FleetRig
 from fleet.rollout.begin import begin, stop_by_person
 from fleet.rollout.runner import RolloutRunner
@@ -211,7 +211,7 @@ def test_a_runner_whose_work_another_one_has_taken_writes_and_sends_nothing(
 ) -> None:
     fleet = FleetInMemory(database)
     slow = fleet.runner()
-    other = Lease(fleet.engine, "rollouts", lease_s=0.0)
+    other = FleetLease(fleet.engine, "rollouts", lease_s=0.0)
     assert other.take() == ""  # as after a pause in which no beat came
     with pytest.raises(LeaseLost, match="rollouts: another process does it now"):
         slow.look(fleet.utc)
