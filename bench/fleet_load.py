@@ -185,7 +185,7 @@ def measure(folder: Path, rigs: int, minutes: float, daemons: int) -> FleetLoad:
             )
         )
         stack.enter_context(real_daemons(folder, daemons, broker.port))
-        field_ = stack.enter_context(rig_field(folder, broker.port))
+        field_ = stack.enter_context(rig_field(folder, broker.port, real_ticks()))
         running = (broker.process, victoria.process, ingest.process, postgres.process)
         pids = {name: one.pid for name, one in zip(ENGINES, running, strict=True) if one is not None}
         for share in SHARES:
@@ -257,11 +257,13 @@ def cpu_time_s(pid: int) -> float:
 
 
 @contextmanager
-def rig_field(folder: Path, port: int) -> Iterator["subprocess.Popen[str]"]:
-    """Start the simulated rigs; none ticks yet."""
+def rig_field(
+    folder: Path, port: int, ticks: Sequence[TickRecord], step_s: float = STEP_S
+) -> Iterator["subprocess.Popen[str]"]:
+    """Start the simulated rigs; none ticks yet. ticks : that they send again and again"""
     known = folder / "templates.json"
-    known.write_text(json.dumps(templates(real_ticks())), encoding="utf-8")
-    words = [str(port), str(known), str(folder / "lags.txt"), str(STEP_S)]
+    known.write_text(json.dumps(templates(ticks)), encoding="utf-8")
+    words = [str(port), str(known), str(folder / "lags.txt"), str(step_s)]
     process = subprocess.Popen(
         [sys.executable, "-m", "bench.support.simulated_rigs", *words],
         cwd=ROOT,

@@ -1,8 +1,6 @@
 """The load of a fleet: simulated rigs speak as real ones do; figures follow from what was measured."""
 
 import json
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -18,10 +16,9 @@ from bench.fleet_load import (
     goal_table,
     growth,
     lags,
-    templates,
+    rig_field,
 )
 from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.daemon_process import ROOT
 from fleet.ingest.state import parse_state
 from fleet.ingest.tick import parse_tick
 
@@ -72,30 +69,20 @@ def test_lags_are_read_by_engine(tmp_path: Path) -> None:
 @needs_mosquitto
 @pytest.mark.slow
 def test_simulated_rigs_speak_as_real_ones_do(tmp_path: Path) -> None:
-    known = tmp_path / "templates.json"
-    known.write_text(json.dumps(templates([tick(1), eventful_tick(2)])))
-    with Broker(tmp_path) as broker, Listener(broker.port, "greenhouse/#") as listener:
-        words = [str(broker.port), str(known), str(tmp_path / "lags.txt"), "1.0"]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "bench.support.simulated_rigs", *words],
-            cwd=ROOT,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            assert process.stdin is not None
-            process.stdin.write("active 3\n")
-            process.stdin.flush()
-            topic = "greenhouse/sim-000002/history/tick"
-            wait_for(lambda: len(listener.payloads(topic)) >= 2)
-            listener.send("greenhouse/sim-000002/set/resend", '{"first_seq": 1, "last_seq": 1}')
-            wait_for(lambda: listener.payloads("greenhouse/sim-000002/reply"))
-            wait_for(lambda: [body["is_resend"] for body in listener.objects(topic)].count(1) == 1)
-            said, _ = process.communicate("end\n", timeout=20.0)
-        finally:
-            process.kill()
-            process.wait()
+    with (
+        Broker(tmp_path) as broker,
+        Listener(broker.port, "greenhouse/#") as listener,
+        rig_field(tmp_path, broker.port, [tick(1), eventful_tick(2)], 1.0) as process,
+    ):
+        assert process.stdin is not None
+        process.stdin.write("active 3\n")
+        process.stdin.flush()
+        topic = "greenhouse/sim-000002/history/tick"
+        wait_for(lambda: len(listener.payloads(topic)) >= 2)
+        listener.send("greenhouse/sim-000002/set/resend", '{"first_seq": 1, "last_seq": 1}')
+        wait_for(lambda: listener.payloads("greenhouse/sim-000002/reply"))
+        wait_for(lambda: [body["is_resend"] for body in listener.objects(topic)].count(1) == 1)
+        said, _ = process.communicate("end\n", timeout=20.0)
         sent = json.loads(said)
         assert sorted(sent) == ["sim-000000", "sim-000001", "sim-000002"]
         wait_for(lambda: len(listener.payloads(topic)) == sent["sim-000002"] + 1)
