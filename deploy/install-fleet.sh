@@ -15,6 +15,7 @@ set -- mosquitto victoria-metrics caddy # the engines, by command, package and s
 
 [ "$(id -u)" = 0 ] || die "run it as root"
 command -v apt-get >/dev/null || die "this is no Debian: install $* and python3-venv, then see docs/fleet.md"
+[ ! -L "$opt/venv" ] || die "the Debian package of the daemon is installed here: first apt remove greenhouse"
 brought=""
 for engine in "$@"; do
     command -v "$engine" >/dev/null || brought="$brought $engine"

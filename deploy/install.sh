@@ -25,10 +25,12 @@ run() { # a step: told, and done unless --dry-run
 
 install_program() {
     run install -d "$opt"
+    parts="pyproject.toml README.md CHANGELOG.md edge firmware_protocol deploy"
+    [ ! -d "$opt/src/fleet" ] || parts="$parts fleet" # a fleet's programs run from the same place
     # The source as it was installed: a build leaves files beside its sources, and shall leave this folder alone.
     run rm -rf "$opt/src"
     run install -d "$opt/src"
-    for part in pyproject.toml README.md CHANGELOG.md edge firmware_protocol deploy; do
+    for part in $parts; do
         run cp -R "$source/$part" "$opt/src/"
     done
     run find "$opt/src" -name __pycache__ -prune -exec rm -rf {} +
@@ -66,8 +68,10 @@ start_service() {
         echo "systemd does not run here: the service is in place, nothing is started"
         return
     fi
-    run udevadm control --reload
-    run udevadm trigger --subsystem-match=tty
+    if [ -S /run/udev/control ]; then # a container has none, and its board comes by another way
+        run udevadm control --reload
+        run udevadm trigger --subsystem-match=tty
+    fi
     run systemctl daemon-reload
     run systemctl enable --quiet greenhouse.service greenhouse-diagnosis.path greenhouse-page.service
     run systemctl restart greenhouse-diagnosis.path

@@ -12,6 +12,10 @@ if [ -L "$root/opt/greenhouse/venv" ]; then
     echo "uninstall.sh: this is the Debian package's: apt remove greenhouse" >&2
     exit 1
 fi
+if [ -e "$root/etc/systemd/system/greenhouse-fleet.target" ]; then
+    echo "uninstall.sh: a fleet runs from $root/opt/greenhouse: first greenhouse fleet down" >&2
+    exit 1
+fi
 if [ -z "$root" ] && [ -d /run/systemd/system ]; then
     # Stopping turns the heater off.
     systemctl disable --now greenhouse-page.service greenhouse-evidence.timer greenhouse-diagnosis.path \
@@ -25,7 +29,7 @@ rm -f "$root/etc/systemd/system/greenhouse.service" "$root/etc/systemd/system/gr
 rm -rf "$root/opt/greenhouse" "$root/usr/share/doc/greenhouse"
 if [ -z "$root" ] && [ -d /run/systemd/system ]; then
     systemctl daemon-reload
-    udevadm control --reload
+    [ ! -S /run/udev/control ] || udevadm control --reload
 fi
 cat <<EOF
 Removed. Kept: $root/etc/greenhouse, $root/var/lib/greenhouse and $root/var/lib/greenhouse-page.

@@ -358,6 +358,27 @@ def test_a_second_install_changes_nothing(installed: Path) -> None:
     assert contents(installed) == before
 
 
+def test_install_beside_a_fleet_keeps_its_programs_and_uninstall_leaves_them(
+    installed: Path, tmp_path: Path
+) -> None:
+    root = tmp_path / "root"
+    shutil.copytree(installed, root, symlinks=True)
+    fleet = root / "opt/greenhouse/src/fleet"  # as install-fleet.sh puts it
+    assert not fleet.exists()
+    fleet.mkdir()
+    done = install("--root", str(root))
+    assert done.returncode == 0, done.stderr
+    assert (fleet / "command.py").exists()
+    (installed_fleet,) = root.glob("opt/greenhouse/venv/lib/python*/site-packages/fleet/command.py")
+    assert installed_fleet.read_bytes() == (ROOT / "fleet" / "command.py").read_bytes()
+    (root / "etc/systemd/system/greenhouse-fleet.target").write_text("")
+    refused = subprocess.run(
+        ["sh", str(DEPLOY / "uninstall.sh"), "--root", str(root)], capture_output=True, text=True
+    )
+    assert (refused.returncode, "first greenhouse fleet down" in refused.stderr) == (1, True)
+    assert fleet.exists()
+
+
 def test_install_keeps_the_configuration_and_checks_it(installed: Path) -> None:
     edited = installed / "etc/greenhouse/edge.yaml"
     before = edited.read_text()
