@@ -10,7 +10,7 @@ from pathlib import Path
 from edge.core.errors import RequestError
 from edge.formats.atomic_file import write_atomically
 from fleet.machine.engines import Engine
-from fleet.machine.places import FleetMachine, FleetPlaces
+from fleet.machine.places import USER, FleetMachine, FleetPlaces
 from fleet.machine.units import PREFIX, TARGET, unit_files
 
 UNITS = Path("/etc/systemd/system")
@@ -34,9 +34,7 @@ def check_program(python: Path) -> None:
 
 def make_user(machine: FleetMachine) -> None:
     """Make the user as whom the engines run. Errors: RequestError"""
-    try:
-        pwd.getpwnam(machine.user)
-    except KeyError:
+    if not _is_known(machine.user):
         _call(
             "useradd",
             "--system",
@@ -87,10 +85,20 @@ def end(machine: FleetMachine, units: Path = UNITS) -> bool:
 
 
 def erase(places: FleetPlaces, machine: FleetMachine) -> None:
-    """Delete settings, papers, certificates and data. Errors: OSError"""
+    """Delete settings, papers, certificates, data and user. Errors: OSError, RequestError"""
     for folder in (Path(machine.data), places.folder):
         if folder.exists():
             shutil.rmtree(folder)
+    if machine.user == USER and _is_known(USER):
+        _call("userdel", USER)
+
+
+def _is_known(user: str) -> bool:
+    try:
+        pwd.getpwnam(user)
+    except KeyError:
+        return False
+    return True
 
 
 def _call(*command: str) -> None:

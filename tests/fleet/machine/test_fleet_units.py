@@ -20,7 +20,7 @@ from bench.support.page_process import listens
 from edge.core.errors import RequestError
 from fleet.machine import service, units
 from fleet.machine.engines import PACKAGES, engines
-from fleet.machine.places import FOLDER, FleetMachine, places_of
+from fleet.machine.places import FOLDER, USER, FleetMachine, places_of
 from fleet.machine.setting_up import set_up
 
 EXPOSURE_MAX = 2.5
@@ -84,6 +84,31 @@ def test_services_are_started_and_every_unit_is_removed_at_the_end(tmp_path: Pat
     assert set(systemctl.read_text().splitlines()[3].split()) == {"disable", "--now", *names}
     assert [path.name for path in folder.iterdir()] == ["other.service"]
     assert not service.end(machine, folder)
+
+
+def test_the_end_of_all_takes_the_services_user_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, program = tmp_path / "calls", tmp_path / "bin" / "userdel"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\necho "$@" >> {calls}\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}:{os.environ['PATH']}")
+    known = {"somebody", USER}
+
+    def ask(user: str) -> str:
+        if user not in known:
+            raise KeyError(user)
+        return user
+
+    monkeypatch.setattr(service.pwd, "getpwnam", ask)
+    for user in ("somebody", USER):  # the first is of a fleet that was only tried
+        machine = FleetMachine(str(tmp_path / user / "data"), user, names=("localhost",))
+        places = places_of(tmp_path / user)
+        Path(machine.data).mkdir(parents=True)
+        service.erase(places, machine)
+        assert not places.folder.exists()
+    known.clear()
+    service.erase(places_of(tmp_path / USER), FleetMachine(str(tmp_path / "none"), names=("localhost",)))
+    assert calls.read_text() == f"{USER}\n"
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
