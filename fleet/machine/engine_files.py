@@ -42,11 +42,14 @@ log_dest stderr
 
 
 def web_file(places: FleetPlaces, machine: FleetMachine) -> str:
-    """Return the Caddyfile: https by our own certificate, and nothing of vmalert's way in from elsewhere."""
+    """Return the Caddyfile: https over TCP by our own certificate, and no way in for alarms."""
     bind = f"\tbind {machine.host}\n" if machine.host else ""
     return f"""{HEAD}{{
 	admin off
 	auto_https off
+	servers {{
+		protocols h1 h2
+	}}
 }}
 https://:{machine.ports.web} {{
 {bind}	tls {places.certificate("server")} {places.key("server")}

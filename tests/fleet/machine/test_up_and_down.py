@@ -1,5 +1,6 @@
 """`greenhouse fleet up --foreground` and `down`: what runs, what stays, what is refused."""
 
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -75,6 +76,8 @@ def test_a_fleet_goes_up_serves_its_page_and_goes_down_with_its_data_kept(tmp_pa
         token = places.alert_token.read_text()
         posted = browser.post("/api/v2/alerts", [], authorization=f"Bearer {token}")
         assert posted.status_code == 404
+        with socket.socket(type=socket.SOCK_DGRAM) as datagrams:  # the one port is TCP's alone
+            datagrams.bind(("127.0.0.1", machine.ports.web))
         second = command("up", "--foreground", "--folder", str(places.folder))
         assert (second.returncode, "another `greenhouse fleet up` runs here" in second.stderr) == (2, True)
         pids = children(process)
