@@ -11,6 +11,8 @@
 # make deb     Debian packages for amd64 and arm64, out/deb
 # make deb-test  installs, upgrades, breaks and removes them in a Debian of their own (root, half an hour and more)
 # make boot-test  boots an arm64 machine in qemu and tries the package on it: power cuts, watchdog, an hour (root, hours)
+# make boot-fleet  boots a fresh Debian 12 and tries the manual of a fleet on it: kills, a power cut, the end (root, hours;
+#              ARGS=--container: a quarter of an hour)
 # make home-assistant-test  a real Home Assistant from PyPI with a rig: every entity and order (root)
 # make train   every model anew from the recorded runs, compared, and the default bundle (half an hour)
 
@@ -18,7 +20,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test quick lint docs bench model train firmware board-programs walk-through deb deb-test boot-test home-assistant-test tools clean
+.PHONY: run test quick lint docs bench model train firmware board-programs walk-through deb deb-test boot-test boot-fleet home-assistant-test tools clean
 
 run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
@@ -65,6 +67,9 @@ deb-test: $(VENV)/dev.installed
 boot-test: $(VENV)/dev.installed tools
 	sh deploy/deb/build.sh $(BIN)/python arm64
 	PYTHONPATH=$(CURDIR) $(BIN)/python tests/deploy/boot_test.py out/deb/greenhouse_*_arm64.deb $(ARGS)
+
+boot-fleet: $(VENV)/dev.installed
+	PYTHONPATH=$(CURDIR) $(BIN)/python tests/deploy/boot_fleet.py $(ARGS)
 
 home-assistant-test: $(VENV)/dev.installed tools
 	PYTHONPATH=$(CURDIR) $(BIN)/python tests/real_home_assistant/run.py $(ARGS)

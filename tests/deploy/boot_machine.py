@@ -1,7 +1,7 @@
-"""A Debian arm64 machine under qemu-system-aarch64: its disk, its power and a shell in it.
+"""A Debian machine under qemu, arm64 or amd64: its disk, its power and a shell in it.
 
 The disk has a write cache of its own, which is lost when the power is cut: what the machine has not flushed
-is not there afterwards (nbdkit's filter `cache`). The serial adapter's other end is a pseudo-terminal.
+is not there afterwards (nbdkit's filter `cache`). A serial adapter's other end is a pseudo-terminal.
 """
 
 import itertools
@@ -11,6 +11,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from edge.core.processes import die_with_parent
@@ -28,10 +29,23 @@ WantedBy=multi-user.target
 """
 UNNEEDED = ("e2scrub_reap.service", "getty-static.service", "apt-daily.timer", "apt-daily-upgrade.timer")
 DISK = "6G"
-KERNEL = "linux-image-arm64"
-START_OF_DAEMON_S = 900.0  # the unit's own limit is for a real processor
 START_MAX_S, AGENT_S, FLUSH_MAX_S = 20.0, 60.0, 120.0
 BOOT_MAX_S = 1800.0  # an emulated processor on a busy machine
+
+
+@dataclass(frozen=True, slots=True)
+class Architecture:
+    """A kind of machine. name : Debian's; console : the kernel's word for the first serial line"""
+
+    name: str
+    qemu: tuple[str, ...]
+    console: str
+
+
+ARM64 = Architecture("arm64", ("qemu-system-aarch64", "-M", "virt", "-cpu", "cortex-a72"), "ttyAMA0")
+AMD64 = Architecture("amd64", ("qemu-system-x86_64", "-M", "q35", "-cpu", "max"), "ttyS0")
+# This machine's own processor; asked for, because a /dev/kvm of kvm_pvm runs no kernel of Debian's.
+KVM = ("-accel", "kvm")
 
 
 class ShellError(Exception):
@@ -43,28 +57,41 @@ def run(*words: object) -> None:
     subprocess.run([str(word) for word in words], check=True, stdout=subprocess.DEVNULL)
 
 
-def make_disk(folder: Path, files: Sequence[Path]) -> None:
-    """Make `folder`/disk.raw, vmlinuz and initrd.img: Debian 12 with `files` and the agent in /srv."""
+def make_tree(
+    folder: Path,
+    files: Sequence[Path],
+    architecture: Architecture = ARM64,
+    packages: Sequence[str] = (),
+) -> Path:
+    """Make `folder`/root: Debian 12 with its kernel, and `files` and the agent in /srv; return its path.
+
+    packages : of Debian, beyond the few that debian.sh takes
+    """
     root = folder / "root"
     if not (folder / "root.done").exists():
         shutil.rmtree(root, ignore_errors=True)
         root.mkdir(parents=True)
-        tar = subprocess.run(["sh", str(DEBIAN), "arm64"], check=True, stdout=subprocess.PIPE, text=True)
+        words = ["sh", str(DEBIAN), architecture.name]
+        tar = subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True)
         run("tar", "-C", root, "-xf", tar.stdout.strip())
-        _add_kernel(root)
+        _add_packages(root, (f"linux-image-{architecture.name}", *packages))
         (folder / "root.done").touch()
     for path in files:
         shutil.copy(path, root / "srv" / path.name)
     shutil.copy(AGENT, root / "srv" / "agent.py")
     (root / "etc/systemd/system/agent.service").write_text(UNIT)
-    slow = root / "etc/systemd/system/greenhouse.service.d"
-    slow.mkdir(exist_ok=True)
-    (slow / "emulated.conf").write_text(f"[Service]\nTimeoutStartSec={START_OF_DAEMON_S:g}\n")
     (root / "etc/fstab").write_text("/dev/vda / ext4 defaults 0 1\n")
     (root / "etc/hostname").write_text("rig\n")
+    (root / "etc/hosts").write_text("127.0.0.1 localhost\n127.0.1.1 rig\n")
     (root / "etc/modules-load.d/agent.conf").write_text("virtio_console\n")
     run("chroot", root, "systemctl", "enable", "--quiet", "agent.service")
     run("chroot", root, "systemctl", "mask", "--quiet", *UNNEEDED)
+    return root
+
+
+def make_disk(folder: Path) -> None:
+    """Make disk.raw, vmlinuz and initrd.img of the tree in `folder`."""
+    root = folder / "root"
     for name in ("vmlinuz", "initrd.img"):
         shutil.copy(root / name, folder / name)
     disk = folder / "disk.raw"
@@ -72,8 +99,8 @@ def make_disk(folder: Path, files: Sequence[Path]) -> None:
     run("mkfs.ext4", "-q", "-d", root, disk, DISK)
 
 
-def _add_kernel(root: Path) -> None:
-    """Install Debian's kernel, and make an initrd of these few modules: all of them take an hour here."""
+def _add_packages(root: Path, packages: Sequence[str]) -> None:
+    """Install Debian's kernel and others, and make an initrd of few modules: all take an hour, emulated."""
     settings = root / "etc/initramfs-tools"
     (settings / "conf.d").mkdir(parents=True)
     (settings / "conf.d/rig").write_text("MODULES=list\n")
@@ -83,17 +110,31 @@ def _add_kernel(root: Path) -> None:
     run("mount", "-t", "proc", "proc", root / "proc")
     try:
         run("chroot", root, "apt-get", "update", "-qq")
-        run("chroot", root, "apt-get", "install", "-y", "-qq", *keep, "--no-install-recommends", KERNEL)
+        run("chroot", root, "apt-get", "install", "-y", "-qq", *keep, "--no-install-recommends", *packages)
         run("chroot", root, "apt-get", "clean")
     finally:
         run("umount", root / "proc")
 
 
 class Machine:
-    """The machine with its power off. port : pseudo-terminal at the other end of its serial adapter"""
+    """The machine with its power off.
 
-    def __init__(self, folder: Path, port: Path) -> None:
-        self._folder, self._port = folder, port
+    port : pseudo-terminal at the other end of its serial adapter, None for a machine without one
+    network : of qemu's `-nic`; memory : of qemu's `-m`
+    """
+
+    CUT = "the power is cut"
+
+    def __init__(
+        self,
+        folder: Path,
+        port: Path | None = None,
+        architecture: Architecture = ARM64,
+        network: str = "none",
+        memory: str = "1G",
+    ) -> None:
+        self._folder, self._port, self._architecture = folder, port, architecture
+        self._network, self._memory = network, memory
         self._numbers = itertools.count()
         self._processes: list[subprocess.Popen[bytes]] = []
         self._agent = socket.socket()
@@ -143,14 +184,15 @@ class Machine:
 
     def _qemu(self) -> Sequence[object]:
         folder = self._folder
+        board = ("-chardev", f"serial,id=board,path={self._port}", "-device", "usb-serial,chardev=board")
         return (
-            *("qemu-system-aarch64", "-M", "virt", "-cpu", "cortex-a72", "-smp", "2", "-m", "1G"),
+            *(*self._architecture.qemu, "-smp", "2", "-m", self._memory),
             *("-kernel", folder / "vmlinuz", "-initrd", folder / "initrd.img"),
-            *("-append", "root=/dev/vda rw console=ttyAMA0"),
-            *("-display", "none", "-nic", "none", "-serial", f"file:{folder / 'console.log'}"),
+            *("-append", f"root=/dev/vda rw console={self._architecture.console}"),
+            *("-display", "none", "-nic", self._network, "-serial", f"file:{folder / 'console.log'}"),
             *("-drive", f"file=nbd+unix:///?socket={folder / 'disk.sock'},format=raw,if=virtio,id=disk"),
             *("-device", "qemu-xhci"),
-            *("-chardev", f"serial,id=board,path={self._port}", "-device", "usb-serial,chardev=board"),
+            *(board if self._port else ()),
             *("-device", "virtio-serial-pci"),
             *("-chardev", f"socket,id=agent,path={folder / 'agent.sock'},server=on,wait=off"),
             *("-device", "virtserialport,chardev=agent,name=agent"),
