@@ -19,7 +19,17 @@ from pathlib import Path
 
 import yaml
 from boot_container import Container
-from boot_machine import AMD64, ARM64, KVM, Architecture, Machine, ShellError, make_disk, make_tree, run
+from boot_machine import (
+    AMD64,
+    ARM64,
+    KVM,
+    Machine,
+    MachineArchitecture,
+    ShellError,
+    make_disk,
+    make_tree,
+    run,
+)
 from boot_network import NETWORK, give_network, give_packages
 from boot_report import BootReport, wait_for
 
@@ -309,34 +319,34 @@ def left_running(fleet: BootedFleet) -> str:
     return " ".join((units, processes, *listening)).strip()
 
 
-def files() -> list[Path]:
+def files(folder: Path) -> list[Path]:
     """Return what is brought to the machine: the checkout as git has it, and the questions to its stores."""
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    run("git", "-C", ROOT, "archive", "-o", FOLDER / "greenhouse.tar", "HEAD")
-    return [FOLDER / "greenhouse.tar", STORES]
+    folder.mkdir(parents=True, exist_ok=True)
+    run("git", "-C", ROOT, "archive", "-o", folder / "greenhouse.tar", "HEAD")
+    return [folder / "greenhouse.tar", STORES]
 
 
-def emulated(architecture: Architecture, kvm: bool) -> Machine:
+def emulated(architecture: MachineArchitecture, kvm: bool) -> Machine:
     """Return a machine of its own, with its power off."""
-    root = make_tree(FOLDER, files(), architecture, PACKAGES)
-    give_network(root)
-    make_disk(FOLDER)
+    folder = FOLDER / architecture.name
+    give_network(make_tree(folder, files(folder), architecture, PACKAGES))
+    make_disk(folder)
     if kvm:
         architecture = replace(architecture, qemu=(*architecture.qemu, *KVM))
-    return Machine(FOLDER, architecture=architecture, network=NETWORK, memory=MEMORY)
+    return Machine(folder, architecture=architecture, network=NETWORK, memory=MEMORY)
 
 
-def container() -> Container:
-    """Return a container of this machine's architecture, in a tree of its own."""
-    folder = FOLDER / "container"
-    shutil.rmtree(folder, ignore_errors=True)
-    root = make_tree(FOLDER, files(), AMD64, PACKAGES)
-    folder.mkdir()
-    run("cp", "-a", root, folder / "root")
-    give_packages(folder / "root")
-    run("chroot", folder / "root", "systemctl", "disable", "--quiet", "agent.service")
-    (folder / "root/etc/fstab").unlink()
-    return Container(folder / "root", f"fleet-{os.getpid()}")
+def container(architecture: MachineArchitecture) -> Container:
+    """Return a container, in a tree of its own."""
+    folder = FOLDER / architecture.name
+    tree, root = make_tree(folder, files(folder), architecture, PACKAGES), folder / "container" / "root"
+    shutil.rmtree(root.parent, ignore_errors=True)
+    root.parent.mkdir()
+    run("cp", "-a", tree, root)
+    give_packages(root)
+    run("chroot", root, "systemctl", "disable", "--quiet", "agent.service", "systemd-networkd.service")
+    (root / "etc/fstab").unlink()
+    return Container(root, f"fleet-{os.getpid()}")
 
 
 def main() -> None:
@@ -353,7 +363,7 @@ def main() -> None:
     report = BootReport()
     for line in header():
         report.say(line)
-    machine = container() if options.container else emulated(architecture, options.kvm)
+    machine = container(architecture) if options.container else emulated(architecture, options.kvm)
     what = f"{architecture.name} in qemu"
     if options.container:
         what = "a container under systemd-nspawn, with this machine's kernel and network"

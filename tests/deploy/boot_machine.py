@@ -34,7 +34,7 @@ BOOT_MAX_S = 1800.0  # an emulated processor on a busy machine
 
 
 @dataclass(frozen=True, slots=True)
-class Architecture:
+class MachineArchitecture:
     """A kind of machine. name : Debian's; console : the kernel's word for the first serial line"""
 
     name: str
@@ -42,8 +42,8 @@ class Architecture:
     console: str
 
 
-ARM64 = Architecture("arm64", ("qemu-system-aarch64", "-M", "virt", "-cpu", "cortex-a72"), "ttyAMA0")
-AMD64 = Architecture("amd64", ("qemu-system-x86_64", "-M", "q35", "-cpu", "max"), "ttyS0")
+ARM64 = MachineArchitecture("arm64", ("qemu-system-aarch64", "-M", "virt", "-cpu", "cortex-a72"), "ttyAMA0")
+AMD64 = MachineArchitecture("amd64", ("qemu-system-x86_64", "-M", "q35", "-cpu", "max"), "ttyS0")
 # This machine's own processor; asked for, because a /dev/kvm of kvm_pvm runs no kernel of Debian's.
 KVM = ("-accel", "kvm")
 
@@ -60,7 +60,7 @@ def run(*words: object) -> None:
 def make_tree(
     folder: Path,
     files: Sequence[Path],
-    architecture: Architecture = ARM64,
+    architecture: MachineArchitecture = ARM64,
     packages: Sequence[str] = (),
 ) -> Path:
     """Make `folder`/root: Debian 12 with its kernel, and `files` and the agent in /srv; return its path.
@@ -129,7 +129,7 @@ class Machine:
         self,
         folder: Path,
         port: Path | None = None,
-        architecture: Architecture = ARM64,
+        architecture: MachineArchitecture = ARM64,
         network: str = "none",
         memory: str = "1G",
     ) -> None:
