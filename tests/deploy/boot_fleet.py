@@ -12,6 +12,7 @@ import os
 import re
 import shlex
 import shutil
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -361,6 +362,7 @@ def main() -> None:
     options = parser.parse_args()
     architecture = ARCHITECTURES[options.architecture]
     report = BootReport()
+    report.say(" ".join(("python tests/deploy/boot_fleet.py", *sys.argv[1:])))
     for line in header():
         report.say(line)
     machine = container(architecture) if options.container else emulated(architecture, options.kvm)
