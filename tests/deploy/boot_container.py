@@ -58,9 +58,8 @@ class Container:
         """End every process in it at once."""
         if self._process is None:
             return
-        if first := self._first():
-            os.kill(first, signal.SIGKILL)  # the first process of a name space takes all others with it
-        self._process.kill()
+        # The first process of a name space takes all others with it, and systemd-nspawn ends then by itself.
+        os.kill(self._first() or self._process.pid, signal.SIGKILL)
         self._process.wait()
         self._process = None
 
