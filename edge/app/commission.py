@@ -6,20 +6,26 @@ good enough is refused, with the reason.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.app.box import COMMISSION
+from edge.app.rest_offset import with_rest_offset
 from edge.app.sensor_step import step_of
 from edge.app.step_test_record import STEP_S
 from edge.app.step_test_rows import stretches
 from edge.config.settings import ControlSettings
 from edge.core.errors import DataError, RequestError
 from edge.diagnosis.adopted_twin import round_value
+from edge.diagnosis.baselines import bare
 from edge.diagnosis.diagnose import Diagnosis, diagnose
+from edge.diagnosis.loose_prior import loosen
+from edge.diagnosis.prepare import prepare
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import FROM_S, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
@@ -28,6 +34,7 @@ from edge.twin.draws import CORRELATION
 from edge.twin.effects.plausible import implausible, odd, with_usual_fan
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
+from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest
@@ -38,6 +45,7 @@ TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
 # cost 0.4 and 0.8 times those of the paper's MPC (docs/measured/control.md).
 ERROR_MAX_K, ERROR_MAX_SHARE = 2.0, 0.15
 BETTER, FAR_BETTER = 0.8, 0.5  # shares of the twin's error: a simple model is told, or taken in its place
+UNLIKE = 2.0  # times what twins of a kind usually miss by: a box that does is not of the kind
 BY_SEARCH = ("added", "after", CORRELATION)  # of a provenance; not true of a baseline
 SEEN_MIN_K = 2.0  # that the air must have risen
 LONGEST_MIN = 1440.0  # of tests that it proposes
@@ -113,12 +121,22 @@ def learn(
     held_out = dict(judging)
     both = [(name, held_out.get(name, part)) for name, part in zip(names, parts, strict=True)]
     runs = diagnosis_runs(both, judging, file)
-    found = diagnose(file, runs, progress, COMMISSION, jobs)
     limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * moved_k)
-    chosen, error_k = chosen_twin(found, limit_k)
+
+    def search(begin: TwinFile) -> tuple[Diagnosis, TwinFile, float]:
+        found = diagnose(begin, runs, progress, COMMISSION, jobs)
+        return found, *chosen_twin(found, limit_k)
+
+    by_prior = PRIOR in file.provenance
+    found, chosen, error_k = search(
+        loosen(prepare(with_rest_offset(file, parts[0]), runs)) if by_prior else file
+    )
     if any((*implausible(chosen), *odd(chosen))) and (usual := with_usual_fan(file)) is not None:
-        found = diagnose(usual, runs, progress, COMMISSION, jobs)
-        chosen, error_k = chosen_twin(found, limit_k)
+        found, chosen, error_k = search(usual)
+    if by_prior and not error_k <= usual_miss_k(file):  # the box may be unlike its kind
+        alone = search(bare(file))
+        if not error_k <= alone[-1]:
+            found, chosen, error_k = alone
     step_k = max(step_of(run.columns["temp_air_c"]), start.sensor.get("quantisation_k") or 0.0)
     twin = replace(chosen, sample_s=control.step_s, sensor={**chosen.sensor, "quantisation_k": step_k})
     room_c = float(np.nanmean(found.inputs.runs.ambient))
@@ -147,21 +165,39 @@ def learn(
     )
 
 
-def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFile, float]:
-    """Return the twin that was found, or a baseline, and the error of its free run over the held-out rows.
+def usual_miss_k(file: TwinFile) -> float:
+    """Return what a twin may miss by and be of its kind; 0 where the file has no fleet's prior [K]."""
+    return UNLIKE * max(provenance_numbers(file, PRIOR, USUAL_MISS), default=0.0)
 
-    A baseline is taken if it halves the error, or is clearly better where the other is refused. It may lack
-    the lag of heater or sensor, and a plan without that swings, which a free run does not show.
+
+def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFile, float]:
+    """Return the twin that was found, or a simpler one, and the error of its free run over the held-out rows.
+
+    The start that a fleet gave, fitted, is taken as long as it misses by no more than twins of its kind: an
+    hour tells nothing against what it adds. A baseline is taken if it halves the error, or is clearly better
+    where the other is refused. It may lack the lag of heater or sensor, and a plan without that swings, which
+    a free run does not show.
     """
+    given = found.inputs.file
+    if found.test_k.get("before", math.inf) <= usual_miss_k(given):
+        prior = {PRIOR: given.provenance[PRIOR]}
+        return _instead(found, found.as_given, found.test_k["before"], prior), found.test_k["before"]
     error_k, twins = found.test_k.get("after", math.nan), found.simple_twins
     simple = {name: error for name, error in found.test_k.items() if name in twins}
     best = min(simple, key=simple.__getitem__, default="")
     share = BETTER if error_k > limit_k else FAR_BETTER
     if not best or not simple[best] < share * error_k:
         return found.adopted, error_k
+    return _instead(found, twins[best], simple[best]), simple[best]
+
+
+def _instead(
+    found: Diagnosis, twin: TwinFile, error_k: float, further: Mapping[str, Any] = MappingProxyType({})
+) -> TwinFile:
+    """Return a twin with the origin of the one that the search has found."""
     origin = {key: value for key, value in found.adopted.provenance.items() if key not in BY_SEARCH}
-    own = {"added": {}, "after": {"test": {"rmse_k": round_value(simple[best])}}}
-    return replace(twins[best], provenance={**origin, **twins[best].provenance, **own}), simple[best]
+    own = {"added": {}, "after": {"test": {"rmse_k": round_value(error_k)}}, **further}
+    return replace(twin, provenance={**origin, **twin.provenance, **own})
 
 
 def better_model(found: Diagnosis, error_k: float) -> tuple[str, float] | None:

@@ -5,10 +5,10 @@ leaves further things open, and each twin is drawn with its own `_Doubt` about t
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from edge.twin.effects.library import EFFECTS, nameless
 from edge.twin.effects.loss import WALL_CAPACITIES, WALL_CONDUCTANCES
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import resistance_m2_k_w
+from edge.twin.provenance import provenance_numbers
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
@@ -203,16 +204,6 @@ def other_walls(present: str, new_mm: float) -> tuple[float, float]:
     new_m = 1e-3 * new_mm
     factor = resistance_m2_k_w(material, thickness_m) / resistance_m2_k_w(material, new_m)
     return factor, new_m / thickness_m
-
-
-def provenance_numbers(file: TwinFile, *keys: str) -> list[float]:
-    """Return a number, or a list of numbers, of the provenance; empty where there is none."""
-    found: Any = file.provenance
-    for key in keys:
-        found = found.get(key) if isinstance(found, Mapping) else None
-    items = found if isinstance(found, list) else [found]
-    numbers = [float(item) for item in items if isinstance(item, int | float)]
-    return numbers if len(numbers) == len(items) and all(map(math.isfinite, numbers)) else []
 
 
 def _outlook(

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from edge.core.names import SIGNALS
+from edge.twin.draws import CORRELATION
 from edge.twin.twin_file import read_twin_file, twin_document
 
 Json = dict[str, Any]
+TOLD = (CORRELATION, "after")  # of a twin's provenance: which values go together, how good it is
 
 LINE_COUNTERS = {
     "bad_crc": "Frames with a wrong CRC",
@@ -90,11 +92,10 @@ def drift(status: Mapping[str, Any]) -> Json:
 
 
 def twin(path: Path) -> Json:
-    """Return the twin that runs, as its file has it, but for what is told of the runs that it was fitted to.
-
-    Errors : DataError
-    """
-    return {"bundle": path.parent.name, "twin": twin_document(replace(read_twin_file(path), provenance={}))}
+    """Return the twin that runs, as its file has it; of its origin TOLD alone. Errors: DataError"""
+    file = read_twin_file(path)
+    told = {key: value for key, value in file.provenance.items() if key in TOLD}
+    return {"bundle": path.parent.name, "twin": twin_document(replace(file, provenance=told))}
 
 
 def _measurements(readings: Mapping[str, Any]) -> Json:

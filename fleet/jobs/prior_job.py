@@ -7,6 +7,7 @@ from sqlalchemy.orm import Session
 
 from edge.core.errors import DataError
 from edge.formats.reader import read
+from edge.twin.draws import correlations, uncertain
 from edge.twin.twin_file import twin_of
 from fleet.database.rigs import FleetRig
 from fleet.database.twins import Departure, KeptPrior, ToldTwin
@@ -32,7 +33,9 @@ def renew_prior(engine: Engine, utc: float) -> RenewedPrior:
     sheets, unread = [], {}
     for twin, kind in told:
         try:
-            sheets.append(BoxSheet(twin.rig, kind, twin_of(twin.document)))
+            file = twin_of(twin.document)
+            correlations(file, tuple(uncertain(file)))
+            sheets.append(BoxSheet(twin.rig, kind, file))
         except DataError as error:
             unread[twin.rig] = str(error)
     prior = fit_prior(sheets)

@@ -5,29 +5,30 @@ tell a new kind something.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
 from edge.core.errors import DataError
+from edge.diagnosis.baselines import bare
 from edge.diagnosis.unknowns import with_usual
+from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.twin_file import Place, TwinFile
-from edge.twin.value import SDS_95, Value
+from edge.twin.value import Value
 from fleet.priors.population import LEAST_SD, Population, ValuePrior, fit_population
-from fleet.priors.shared_structure import in_structure
+from fleet.priors.shared_structure import LEAST_SHARE, in_structure
 
-LIKELY = 0.5  # an effect that is rarer among boxes of the kind is not begun with
+LIKELY = 0.5  # an effect that no more boxes of the kind have is not begun with: an hour hardly tells it
 KINDS_WORTH = 2.0  # boxes: what the whole fleet tells of an effect counts as so many of the kind
-ALWAYS = ("wall_loss", "extra_capacity")
-BY_FAN = {"exhaust": ("fan_effectiveness",), "stirring": ("stirred_loss",), "none": ()}
 SAME_ANSWER = {"wall_mass": "soil_mass"}  # told as the one that keeps the loss as a value of its own
-OF_BOX = ("soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "heater_saturation", "heater_sag")
-ANSWERS_ALIKE = {"soil_mass": "wall_mass", "wall_loss": "wall_mass"}
-UNTOLD_SD = 1.5  # as a share, of a value of which a twin says nothing
+OF_BOX = (
+    "soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "fan_spinup", "heater_saturation",
+    "heater_sag",
+)  # fmt: skip
 FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
+MISSED = tuple(("after", part, "rmse_k") for part in ("test", "train"))  # in a told twin's provenance
 KEPT_BOXES = 4096  # in memory
-LEAST_SHARE = 1e-6  # of what is usual: the logarithm needs more than nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +59,12 @@ class FleetPrior:
 
     shares : of the boxes of each kind that have an effect; "" for the whole fleet
     values : by effect and parameter, natural logarithm of the value as a share of the usual one
+    misses_k : error of free runs by the twins of each kind over rows that no fit saw, median; where known
     """
 
     shares: dict[str, dict[str, float]]
     values: dict[tuple[str, str], Population]
+    misses_k: dict[str, float] = field(default_factory=dict)
 
     def structure(self, kind: str) -> tuple[str, ...]:
         """Return the effects that a box of this kind likely has, beside those that every twin has."""
@@ -78,6 +81,10 @@ class FleetPrior:
             if name not in file.effects:
                 file = with_usual(file, name)
         known = {place: self._value(file, place, kind) for place in _places(file)}
+        told: dict[str, object] = {"kind": kind}
+        if kind in self.misses_k:
+            told[USUAL_MISS] = float(f"{self.misses_k[kind]:.3g}")
+        file = replace(file, provenance={**file.provenance, PRIOR: told})
         return file.with_values({place: value for place, value in known.items() if value is not None})
 
     def far_values(self, sheet: BoxSheet) -> list[FarValue]:
@@ -109,50 +116,28 @@ def fit_prior(sheets: Sequence[BoxSheet]) -> FleetPrior:
         for name, told in _shared_values(sheet, _likely(shares[sheet.kind])).items():
             found.setdefault(name, []).append((told.mean, told.sd, sheet.kind))
     values = {name: fit_population(*zip(*own, strict=True)) for name, own in found.items()}
-    return FleetPrior(shares, values)
+    return FleetPrior(shares, values, _misses_k(sheets))
+
+
+def _misses_k(sheets: Sequence[BoxSheet]) -> dict[str, float]:
+    found: dict[str, list[float]] = {}
+    for sheet in sheets:
+        told = [error for place in MISSED for error in provenance_numbers(sheet.twin, *place)]
+        found.setdefault(sheet.kind, []).extend(told[:1])
+    return {kind: float(np.median(own)) for kind, own in found.items() if own}
 
 
 # Seconds a box; priors of two days, or with one box left out, share most of them.
 @lru_cache(maxsize=KEPT_BOXES)
 def _shared_values(sheet: BoxSheet, names: tuple[str, ...]) -> dict[tuple[str, str], ValuePrior]:
     """Return the values of a box in the structure of its kind, as logarithms of shares of the usual."""
-    shared = in_structure(sheet.twin, bare(sheet.twin), names).file
-    shares = {
-        (place[1], place[2]): shared.values()[place].value / shared.usual(place).start
-        for place in _places(shared)
-    }
-    return {
-        name: ValuePrior(float(np.log(max(share, LEAST_SHARE))), _told_sd(sheet.twin, *name))
-        for name, share in shares.items()
-    }
-
-
-def _told_sd(twin: TwinFile, effect: str, parameter: str) -> float:
-    """Return how well a box's own twin knows a value, as a share of it.
-
-    Where the twin has another effect that answers alike, as well as it knows the worst of that one's values.
-    """
-    own = twin.effects.get(effect, {})
-    if parameter in own:
-        return _relative_sd(own[parameter])
-    alike = twin.effects.get(ANSWERS_ALIKE.get(effect, ""), {})
-    return max(map(_relative_sd, alike.values()), default=UNTOLD_SD)
-
-
-def _relative_sd(value: Value) -> float:
-    if value.low is None or value.high is None or not value.value > 0.0:
-        return LEAST_SD
-    if value.low > 0.0:
-        return max(LEAST_SD, float(np.log(value.high / value.low)) / (2.0 * SDS_95))
-    return max(LEAST_SD, (value.high - value.low) / value.value / (2.0 * SDS_95))
-
-
-def bare(twin: TwinFile) -> TwinFile:
-    """Return a twin's box without what was found out about it."""
-    file = replace(twin, effects={}, provenance={})
-    for name in (*ALWAYS, *BY_FAN[twin.fan_role]):
-        file = with_usual(file, name)
-    return file
+    shared = in_structure(sheet.twin, bare(sheet.twin), names)
+    told = {}
+    for place in _places(shared.file):
+        share = shared.file.values()[place].value / shared.file.usual(place).start
+        sd = max(LEAST_SD, shared.sds[place])
+        told[place[1], place[2]] = ValuePrior(float(np.log(max(share, LEAST_SHARE))), sd)
+    return told
 
 
 def _places(file: TwinFile) -> Iterator[Place]:
@@ -160,7 +145,7 @@ def _places(file: TwinFile) -> Iterator[Place]:
 
 
 def _likely(shares: dict[str, float]) -> tuple[str, ...]:
-    return tuple(name for name in OF_BOX if shares[name] >= LIKELY)
+    return tuple(name for name in OF_BOX if shares[name] > LIKELY)
 
 
 def _shares(sheets: Sequence[BoxSheet]) -> dict[str, dict[str, float]]:

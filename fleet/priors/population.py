@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 FREEDOM = 4.0  # of Student's t, boxes about their kind
 ROUNDS = 200
 # What a few boxes tell of spreads is little: as if so many boxes had been seen before with these.
-USUAL_WITHIN, USUAL_BETWEEN, SEEN = 0.25, 0.7, 2.0
+USUAL_WITHIN, USUAL_BETWEEN, SEEN = 0.15, 0.7, 2.0
 LEAST_SD = 0.03  # relative: what a twin's value may always be off
 
 

@@ -1,7 +1,7 @@
 """A prior as JSON, so that it is fitted once a night and read whenever a box is new."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any
 
 from edge.formats.cross_check import Rule
@@ -32,10 +32,11 @@ class PopulationDocument:
 
 @dataclass(frozen=True, slots=True)
 class PriorDocument:
-    """All of it. values : by effect and parameter"""
+    """All of it. values : by effect and parameter; misses_k : by kind"""
 
     shares: Mapping[str, Mapping[str, Share]]
     values: Mapping[str, Mapping[str, PopulationDocument]]
+    misses_k: Mapping[str, Spread] = field(default_factory=dict)
 
 
 def document_of(prior: FleetPrior) -> dict[str, Any]:
@@ -43,7 +44,7 @@ def document_of(prior: FleetPrior) -> dict[str, Any]:
     values: dict[str, dict[str, Any]] = {}
     for (effect, parameter), population in prior.values.items():
         values.setdefault(effect, {})[parameter] = asdict(population)
-    return {"shares": prior.shares, "values": values}
+    return {"shares": prior.shares, "values": values, "misses_k": prior.misses_k}
 
 
 def prior_of(document: PriorDocument) -> FleetPrior:
@@ -58,4 +59,6 @@ def prior_of(document: PriorDocument) -> FleetPrior:
         for effect, parameters in document.values.items()
         for parameter, own in parameters.items()
     }
-    return FleetPrior({kind: dict(own) for kind, own in document.shares.items()}, values)
+    return FleetPrior(
+        {kind: dict(own) for kind, own in document.shares.items()}, values, dict(document.misses_k)
+    )

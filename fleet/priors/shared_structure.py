@@ -1,7 +1,8 @@
 """Twins of different structure told by the same effects, so that their values can be compared.
 
 A box whose slow part is named `wall_mass` and one in which it is named `soil_mass` answer alike. So each twin
-is run through one course of heat and fan, and a twin of the shared structure is fitted to its answer.
+is run through one course of heat and fan, and a twin of the shared structure is fitted to its answer. What
+the twin leaves open, with its correlations, is told by the answers of twins drawn from its intervals.
 """
 
 from collections.abc import Sequence
@@ -10,17 +11,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.diagnosis.fitting import fit
 from edge.diagnosis.free_fit import fit_values, rms_k
 from edge.diagnosis.side_by_side import SideBySide
+from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.unknowns import with_usual
+from edge.twin.draws import drawn_twins
 from edge.twin.run_batch import RunBatch
-from edge.twin.twin_file import TwinFile
+from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest
 
 Floats = NDArray[np.float64]
 ROOM_C = 20.0
 NOISE_K = 0.02  # of an answer that nobody would tell apart
+DRAWS, STEPS = 12, 4  # twins drawn from a twin's intervals, iterations from its own values to theirs
+LEAST_SHARE = 0.01  # of what is usual: as near to nothing as a value that may be 0 counts
 # Legs of the course: share of full heat, and length in steps of the twin, which are chosen to suit a box.
 LEGS = (
     (1.0, 20), (0.0, 20), (0.5, 40), (0.0, 40), (0.75, 80), (0.25, 80), (1.0, 240), (0.0, 240),
@@ -34,12 +40,17 @@ OF_PLACE = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SharedTwin:
-    """A twin in the shared structure. miss_k : by which its answer differs from the original's, RMS"""
+    """A twin in the shared structure.
+
+    miss_k : by which its answer differs from the original's, RMS
+    sds : of the logarithm of each value, by what the original leaves open and by what the structure misses
+    """
 
     file: TwinFile
     miss_k: float
+    sds: dict[Place, float]
 
 
 def in_structure(twin: TwinFile, start: TwinFile, names: Sequence[str]) -> SharedTwin:
@@ -54,7 +65,21 @@ def in_structure(twin: TwinFile, start: TwinFile, names: Sequence[str]) -> Share
             file = with_usual(file, name)
     fitted = fit_values([file], (), course, NOISE_K, SideBySide())[0]
     values = {place: Value(value.value) for place, value in fitted.file.values().items()}
-    return SharedTwin(fitted.file.with_values(values), rms_k(fitted, course))
+    return SharedTwin(fitted.file.with_values(values), rms_k(fitted, course), _sds(twin, fitted))
+
+
+def _sds(twin: TwinFile, fitted: FittedTwin) -> dict[Place, float]:
+    begun = replace(fitted.trial, file=fitted.file, free=fitted.free)
+    found = [fit([begun], answer(drawn), STEPS)[0].coordinates for drawn in drawn_twins(twin, DRAWS)]
+    missed = np.sqrt(np.maximum(np.diag(fitted.covariance)[: len(fitted.free)], 0.0))
+    sds = np.hypot(np.std(found, axis=0, ddof=1), missed)
+    usual = {item.place: twin.usual(item.place).start for item in fitted.free}
+    return {
+        item.place: float(
+            sd if item.log else sd * item.scale / max(item.value(x), LEAST_SHARE * usual[item.place])
+        )
+        for item, x, sd in zip(fitted.free, fitted.coordinates, sds, strict=True)
+    }
 
 
 def answer(twin: TwinFile) -> RunBatch:

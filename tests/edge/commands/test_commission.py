@@ -4,6 +4,7 @@ import math
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -308,6 +309,15 @@ class FoundTwins:
 
     test_k: dict[str, float]
     adopted: object = field(default_factory=lambda: read_twin_file(TWIN))
+    provenance: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def inputs(self) -> object:
+        return SimpleNamespace(file=replace(self.adopted, provenance=self.provenance))
+
+    @property
+    def as_given(self) -> object:
+        return replace(self.adopted, effects={"wall_loss": {"UA": Value(2.0)}})
 
     @property
     def simple_twins(self) -> dict[str, object]:
@@ -324,6 +334,16 @@ def test_a_simple_twin_is_taken_if_it_halves_the_error_or_makes_it_small_enough(
     assert (set(twin.effects) == {"wall_loss"}) == is_taken
     assert error_k == (simple_k if is_taken else 0.5)
     assert not is_taken or twin.provenance["after"] == {"test": {"rmse_k": simple_k}}
+
+
+@pytest.mark.parametrize(("before_k", "is_kept"), [(0.59, True), (0.61, False)])
+def test_the_start_of_a_fleet_is_kept_while_it_misses_no_more_than_its_kind(before_k, is_kept):
+    prior = {"kind": "tent", "misses_k": 0.3}
+    found = FoundTwins({"before": before_k, "after": 0.2, "heater lag": 0.01}, provenance={"prior": prior})
+    twin, error_k = commission.chosen_twin(found, 1.0)
+    assert (twin.effects == {"wall_loss": {"UA": Value(2.0)}}) == is_kept
+    assert error_k == (before_k if is_kept else 0.01)
+    assert (twin.provenance.get("prior") == prior) == is_kept
 
 
 @pytest.mark.parametrize(("arx_k", "better"), [(0.39, ("ARX 2", 0.39)), (0.41, None)])

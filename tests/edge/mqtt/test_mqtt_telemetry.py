@@ -78,8 +78,9 @@ def test_a_late_subscriber_finds_all_that_is_retained(broker):
             wait_for(lambda: wanted <= {message.topic for message in listener.heard})
 
 
-def test_the_twin_that_runs_is_told_without_its_origin_and_taken_back(broker, tmp_path):
-    file = replace(read_twin_file(TWIN_FILE), provenance={"runs": ["a-private-run.csv"]})
+def test_the_twin_that_runs_is_told_without_its_runs_and_taken_back(broker, tmp_path):
+    told_of = {"after": {"train": {"rmse_k": 0.2}}}
+    file = replace(read_twin_file(TWIN_FILE), provenance={"runs": ["a-private-run.csv"], **told_of})
     (tmp_path / "box-2").mkdir()
     write_twin_file(file, tmp_path / "box-2" / "twin.yaml")
     own_twin = [None, tmp_path / "box-2" / "twin.yaml", None]
@@ -94,7 +95,7 @@ def test_the_twin_that_runs_is_told_without_its_origin_and_taken_back(broker, tm
     told = json.loads(told)
     assert told["bundle"] == "box-2"
     (tmp_path / "told.yaml").write_text(json.dumps(told["twin"]))
-    assert read_twin_file(tmp_path / "told.yaml") == replace(file, provenance={})
+    assert read_twin_file(tmp_path / "told.yaml") == replace(file, provenance=told_of)
 
 
 def test_replies_events_and_proposals_are_not_retained(broker):

@@ -11,13 +11,13 @@ from sqlalchemy.orm import Session
 
 from edge.__main__ import main
 from edge.core.errors import DataError
+from edge.diagnosis.baselines import bare
 from edge.twin.twin_file import TwinFile, read_twin_file, twin_document, write_twin_file
 from edge.twin.value import Value
 from fleet.database.base import open_database
 from fleet.database.rigs import FleetRig
 from fleet.database.twins import Departure, KeptPrior, ToldTwin
 from fleet.jobs.prior_job import newest_prior, renew_prior
-from fleet.priors.fleet_prior import bare
 from fleet.settings import DatabaseSettings
 
 RNG = np.random.default_rng(3)

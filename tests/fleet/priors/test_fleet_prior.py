@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from edge.core.errors import DataError
+from edge.diagnosis.baselines import bare
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from edge.twin.value import Value
-from fleet.priors.fleet_prior import BoxSheet, FleetPrior, bare, fit_prior
+from fleet.priors.fleet_prior import BoxSheet, FleetPrior, fit_prior
 
 
 def sheets() -> list[BoxSheet]:

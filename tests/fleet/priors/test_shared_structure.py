@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from edge.diagnosis.baselines import bare
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
-from fleet.priors.fleet_prior import bare
 from fleet.priors.shared_structure import in_structure
 
 WALL = {"C_w": Value(9000.0), "G_in": Value(6.0), "G_out": Value(4.0)}
