@@ -1,10 +1,10 @@
 """python -m bench.boxes.fleet: a new box learnt from an hour with the prior of its fleet, from six without.
 
 Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
-Every box was commissioned for six hours, has run for a day since, and tells the fleet the twin of both. Leave
-one out: to each in turn, as if it were new, the others of its design give a prior. Its twin is learnt from the
-first hour of its step tests with the prior, from that hour without, and from six hours without. One more of
-each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
+Every box was commissioned for six hours, has run for a day since, and tells the fleet the twin of both.
+Leave one out: to each in turn, as if it were new, the others of its design give a prior. Its twin is learnt
+from the first hour of its step tests with the prior, from that hour without, and from six hours without. One
+more of each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
 Judged by the error of a free run over another day, and by the cost of MPC-Twin-P on reference_1. Runs are
 kept in --out, so that a command that was ended goes on.
 """
@@ -227,8 +227,8 @@ def table(rows: Sequence[NewBoxRow]) -> Iterator[str]:
             sum(one["1 h and prior"] <= share * one["6 h"] for one in ways) for share in (1.0, 1.0 + NEAR)
         )
         yield (
-            f"{key}: 1 h with the prior is as good as 6 h without in {worth} of {len(ways)} boxes, and no more "
-            f"than {NEAR:.0%} worse in {near}"
+            f"{key}: 1 h with the prior is as good as 6 h without in {worth} of {len(ways)} boxes, "
+            f"and no more than {NEAR:.0%} worse in {near}"
         )
         ways = [{way: _number(found[name, way], key) for way in WAYS} for name in odd if odd[name]]
         worse = [one["1 h and prior"] / one["1 h"] - 1.0 for one in ways if np.isfinite(one["1 h"])]

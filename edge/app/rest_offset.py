@@ -14,7 +14,7 @@ from edge.twin.value import Value
 
 BIAS = "sensor_bias"
 LEAST_ROWS = 6
-STILL_K = 0.3  # by which the air moves at rest: a step of a coarse sensor
+STILL_K = 0.3  # by which either moves at rest: a step of a coarse sensor
 FAR_K = 1.0  # more is no error of two sensors
 SD_K = 0.2  # what warms or cools a box at rest: plants, electronics, a draught
 LEAST_K = 0.01  # so that its spread can be a share of it
@@ -39,6 +39,6 @@ def rest_offset_k(run: RecordedRun) -> float:
     air = run.columns["temp_air_c"][:rows]
     room = run.columns.get("temp_ambient_c", none + np.nan)[:rows]
     seen = np.isfinite(air) & np.isfinite(room)
-    if seen.sum() < LEAST_ROWS or np.ptp(air[seen]) > STILL_K:
+    if seen.sum() < LEAST_ROWS or max(np.ptp(air[seen]), np.ptp(room[seen])) > STILL_K:
         return float("nan")
     return float(np.mean(air[seen] - room[seen]))

@@ -40,6 +40,7 @@ def test_no_offset_at_all_has_its_spread_too() -> None:
         run(0.8, idle_rows=3),  # too short to tell
         run(2.5),  # the box is still warm from before
         run(0.5, temp_air_c=np.linspace(21.0, 18.0, 40)),  # it cools
+        run(0.5, temp_ambient_c=np.linspace(18.0, 21.0, 40)),  # the room is being heated
         run(0.5, temp_ambient_c=np.full(40, np.nan)),
         run(0.5, fan_on=np.ones(40)),
     ],
