@@ -1,4 +1,4 @@
-"""Where a twin comes from: what its file says of how it was found, and numbers read from that."""
+"""The provenance of a twin: what its file says of how it was found, and numbers read from that."""
 
 import math
 from collections.abc import Mapping

