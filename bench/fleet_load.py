@@ -1,8 +1,8 @@
 """python -m bench.fleet_load: what a fleet costs each engine, and what would break first.
 
 Simulated rigs send what real daemons send, one tick a minute over connections of their own; a few real
-daemons on virtual boards are among them. The load is measured in three parts of the time, with a quarter,
-half and all of the rigs; what a rig costs is the slope over these.
+daemons on virtual boards are among them. A quarter and half of the rigs tick for a tenth of the time each,
+then all of them for all of it; what a rig costs is the slope over these three.
 """
 
 import argparse
@@ -41,8 +41,8 @@ from fleet.database.rigs import FleetRig, StoredSpan
 from fleet.settings import DatabaseSettings
 
 STEP_S = 60.0
-SHARES = (0.25, 0.5, 1.0)
-SETTLE_SHARE = 1 / 3  # of a part of the time, in which rigs connect
+SHARES = {0.25: 0.1, 0.5: 0.1, 1.0: 1.0}  # of the rigs -> of the time
+SETTLE_SHARE, SETTLE_MAX_S = 1 / 3, 180.0  # of a part's time, in which rigs connect
 SAMPLE_S = 5.0
 GOAL_RIGS = 100_000
 MB = 1 << 20  # [bytes]
@@ -188,8 +188,8 @@ def measure(folder: Path, rigs: int, minutes: float, daemons: int) -> FleetLoad:
         field_ = stack.enter_context(rig_field(folder, broker.port, real_ticks()))
         running = (broker.process, victoria.process, ingest.process, postgres.process)
         pids = {name: one.pid for name, one in zip(ENGINES, running, strict=True) if one is not None}
-        for share in SHARES:
-            _load(measured, field_, pids, max(1, round(share * rigs)), minutes * 60 / len(SHARES), daemons)
+        for share, of_time in SHARES.items():
+            _load(measured, field_, pids, max(1, round(share * rigs)), of_time * minutes * 60.0, daemons)
         said, _ = field_.communicate("end\n", timeout=60.0)
         measured.ticks_sent = sum(json.loads(said).values())
         measured.ticks_stored = stored_ticks(database, measured.ticks_sent, daemons)
@@ -226,7 +226,8 @@ def _load(
     assert field_.stdin is not None
     field_.stdin.write(f"active {rigs}\n")
     field_.stdin.flush()
-    begin, end = time.time() + SETTLE_SHARE * seconds, time.time() + seconds
+    now = time.time()
+    begin, end = now + min(SETTLE_MAX_S, SETTLE_SHARE * seconds), now + seconds
     while time.time() < end:
         assert field_.poll() is None, "the simulated rigs have ended"
         measured.samples.append(sample(pids))
@@ -336,7 +337,7 @@ def main() -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rigs", type=int, default=2000)
-    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--minutes", type=float, default=60.0, help="with all rigs (usual: 60)")
     parser.add_argument("--daemons", type=int, default=50)
     arguments = parser.parse_args()
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
