@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from edge.formats.run_file import RecordedRun
+from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
@@ -26,7 +27,8 @@ def with_rest_offset(file: TwinFile, run: RecordedRun) -> TwinFile:
     if BIAS in file.effects or not abs(offset_k) <= FAR_K:
         return file
     bias_k = float(np.copysign(max(abs(offset_k), LEAST_K), offset_k))
-    own = {"bias": Value(float(f"{bias_k:.3g}"), rel_sd=float(f"{SD_K / abs(bias_k):.3g}"))}
+    (parameter,) = EFFECTS[BIAS].parameters
+    own = {parameter.name: Value(float(f"{bias_k:.3g}"), rel_sd=float(f"{SD_K / abs(bias_k):.3g}"))}
     return replace(file, effects={**file.effects, BIAS: own})
 
 

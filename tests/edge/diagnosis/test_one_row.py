@@ -34,6 +34,7 @@ from edge.twin.value import Value
 ROOT = Path(__file__).parents[3]
 # Whole models that are made of effects, in which a new one has no part.
 MODELS = {
+    "edge/app/rest_offset.py": "what two sensors differ by while nothing warms the box",
     "edge/diagnosis/baselines.py": "the simple models of the literature that every twin has to beat",
     "edge/twin/new_file.py": "the first twin file of a box: loss, capacity and fan",
 }
