@@ -26,6 +26,8 @@ OF_BOX = (
     "soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "fan_spinup", "heater_saturation",
     "heater_sag",
 )  # fmt: skip
+LAGS = ("heater_lag", "sensor_lag", "imperfect_mixing")  # answer alike, and a plan without any swings
+LAG = "a lag"  # one of them, in shares
 FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 MISSED = tuple(("after", part, "rmse_k") for part in ("test", "train"))  # in a told twin's provenance
 KEPT_BOXES = 4096  # in memory
@@ -145,18 +147,26 @@ def _places(file: TwinFile) -> Iterator[Place]:
 
 
 def _likely(shares: dict[str, float]) -> tuple[str, ...]:
-    return tuple(name for name in OF_BOX if shares[name] > LIKELY)
+    likely = {name for name in OF_BOX if shares[name] > LIKELY}
+    if shares[LAG] > LIKELY and not likely & {*LAGS}:
+        likely.add(max(LAGS, key=lambda name: shares[name]))
+    return tuple(name for name in OF_BOX if name in likely)
 
 
 def _shares(sheets: Sequence[BoxSheet]) -> dict[str, dict[str, float]]:
     """Return which share of each kind has an effect, drawn towards the whole fleet's."""
-    have = [{SAME_ANSWER.get(name, name) for name in sheet.twin.effects} for sheet in sheets]
-    whole = {name: float(np.mean([name in own for own in have])) for name in OF_BOX}
+    have = [_effects(sheet.twin) for sheet in sheets]
+    whole = {name: float(np.mean([name in own for own in have])) for name in (*OF_BOX, LAG)}
     shares = {"": whole}
     for kind in {sheet.kind for sheet in sheets}:
         mine = [own for own, sheet in zip(have, sheets, strict=True) if sheet.kind == kind]
         shares[kind] = {
-            name: (sum(name in own for own in mine) + KINDS_WORTH * whole[name]) / (len(mine) + KINDS_WORTH)
-            for name in OF_BOX
+            name: (sum(name in own for own in mine) + KINDS_WORTH * share) / (len(mine) + KINDS_WORTH)
+            for name, share in whole.items()
         }
     return shares
+
+
+def _effects(twin: TwinFile) -> set[str]:
+    found = {SAME_ANSWER.get(name, name) for name in twin.effects}
+    return found | {LAG} if found & {*LAGS} else found

@@ -53,6 +53,16 @@ def test_an_effect_that_its_kind_has_not_is_not_begun_with(prior: FleetPrior) ->
     assert prior.structure("tent") == ("soil_mass", "heater_lag")
 
 
+def test_a_kind_whose_boxes_lag_somewhere_lags() -> None:
+    names = {"heater_lag": {"tau_h": Value(120.0)}, "sensor_lag": {"tau_s": Value(90.0)}}
+    told = []
+    for name, own in names.items():
+        effects = {"wall_loss": {"UA": Value(2.4)}, "extra_capacity": {"kC": Value(4.0)}, name: own}
+        told.append(BoxSheet(name, "tent", replace(TwinFile(), effects=effects, fan_role="none")))
+    # Half of them have each, which alone is not enough for either.
+    assert fit_prior(told).structure("tent") == ("heater_lag",)
+
+
 def test_a_new_kind_is_told_less(prior: FleetPrior) -> None:
     box = bare(replace(TwinFile(), fan_role="none"))
     known, new = (prior.start(box, kind).effects["wall_loss"]["UA"] for kind in ("tent", "never seen"))
