@@ -232,7 +232,8 @@ def table(rows: Sequence[NewBoxRow]) -> Iterator[str]:
         )
         ways = [{way: _number(found[name, way], key) for way in WAYS} for name in odd if odd[name]]
         worse = [one["1 h and prior"] / one["1 h"] - 1.0 for one in ways if np.isfinite(one["1 h"])]
-        yield f"{key}: of {len(ways)} odd boxes none is worse by the prior by more than {max(worse):.0%}"
+        if worse:
+            yield f"{key}: of {len(ways)} odd boxes none is worse by the prior by more than {max(worse):.0%}"
 
 
 def _figures(row: NewBoxRow) -> str:
