@@ -6,10 +6,8 @@ good enough is refused, with the reason.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,10 +176,11 @@ def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFil
     where the other is refused. It may lack the lag of heater or sensor, and a plan without that swings, which
     a free run does not show.
     """
-    given = found.inputs.file
-    if found.test_k.get("before", math.inf) <= usual_miss_k(given):
-        prior = {PRIOR: given.provenance[PRIOR]}
-        return _instead(found, found.as_given, found.test_k["before"], prior), found.test_k["before"]
+    given, before_k = found.inputs.file, found.test_k.get("before", math.inf)
+    if before_k <= usual_miss_k(given):
+        fitted = found.as_given
+        origin = {**fitted.provenance, PRIOR: given.provenance[PRIOR]}
+        return _instead(found, replace(fitted, provenance=origin), before_k), before_k
     error_k, twins = found.test_k.get("after", math.nan), found.simple_twins
     simple = {name: error for name, error in found.test_k.items() if name in twins}
     best = min(simple, key=simple.__getitem__, default="")
@@ -191,12 +190,10 @@ def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFil
     return _instead(found, twins[best], simple[best]), simple[best]
 
 
-def _instead(
-    found: Diagnosis, twin: TwinFile, error_k: float, further: Mapping[str, Any] = MappingProxyType({})
-) -> TwinFile:
+def _instead(found: Diagnosis, twin: TwinFile, error_k: float) -> TwinFile:
     """Return a twin with the origin of the one that the search has found."""
     origin = {key: value for key, value in found.adopted.provenance.items() if key not in BY_SEARCH}
-    own = {"added": {}, "after": {"test": {"rmse_k": round_value(error_k)}}, **further}
+    own = {"added": {}, "after": {"test": {"rmse_k": round_value(error_k)}}}
     return replace(twin, provenance={**origin, **twin.provenance, **own})
 
 

@@ -39,7 +39,7 @@ class HistoryLedger:
         if tick.seq in self.stored:
             return False
         self._check(tick)
-        if self._is_jump(tick):  # the rig's new numbers: none lie between, and those of the row are asked for
+        if self.is_jump(tick):  # the rig's new numbers: none lie between, and those of the row are asked for
             self.absent.add(self.stored.newest + 1, self.far[0] - 1)
         self.stored.add(tick.seq, tick.seq)
         self.absent.cut(tick.seq, tick.seq)
@@ -59,14 +59,15 @@ class HistoryLedger:
 
     def _check(self, tick: Tick) -> None:
         newest = self.stored.newest
-        if self._is_jump(tick) and not self._goes_on(tick):
+        if self.is_jump(tick) and not self._goes_on(tick):
             raise Refused("jump", f"tick {tick.seq}: the newest before it was {newest}")
         if tick.seq < newest and self.newest_utc and tick.utc > self.newest_utc + LATER_MAX_S:
             raise Refused("order", f"tick {tick.seq}: it is later than tick {newest}")
         if len(self.stored) >= SPANS_MAX and not self.stored.touches(tick.seq):
             raise Refused("scattered", f"tick {tick.seq}: {SPANS_MAX} spans with gaps between them")
 
-    def _is_jump(self, tick: Tick) -> bool:
+    def is_jump(self, tick: Tick) -> bool:
+        """Return whether its number is too far beyond the newest to follow it."""
         return self.stored.newest > 0 and tick.seq > self.stored.newest + JUMP_MAX
 
     def _goes_on(self, tick: Tick) -> bool:
@@ -123,10 +124,10 @@ class RigPlan:
     def take(self, tick: Tick) -> Tick | None:
         """Note a tick; return it if it is new, with an event where numbers have jumped. Errors: Refused"""
         own = self._history(tick.history_id)
-        before = own.stored.newest
+        before, has_jumped = own.stored.newest, own.is_jump(tick)
         if not own.take(tick):
             fresh = None
-        elif before and tick.seq > before + JUMP_MAX:
+        elif has_jumped:
             text = f"numbers of its ticks go on from {own.far[0]}; the newest before was {before}"
             event = TickEvent(JUMPED, Severity.WARNING.value, text, tick.utc)
             fresh = replace(tick, events=(*tick.events, event))

@@ -43,7 +43,8 @@ STORES = Path(__file__).with_name("boot_stores.py")
 PACKAGES = ("ca-certificates", "curl", "dbus", "iproute2", "procps", "sudo")  # of a usual Debian, and curl
 MEMORY = "2G"
 NAME, RIG = "fleet.example.org", "tent-7"
-SOURCE = "/srv/greenhouse"
+PLACE = "/srv"  # where a person stands in the machine, and the tests' own files are
+SOURCE = f"{PLACE}/greenhouse"
 ENGINES = [
     name.removeprefix(f"{PREFIX}-").removesuffix(".service") for name in usual_units() if "-fleet-" in name
 ]
@@ -83,7 +84,7 @@ class BootedFleet:
 
     def greenhouse(self, words: str) -> str:
         """Run `greenhouse fleet` as a person with sudo. Errors: ShellError"""
-        return self.sh(f"cd /root && sudo greenhouse fleet {words}", UP_MAX_S)
+        return self.sh(f"cd {PLACE} && sudo greenhouse fleet {words}", UP_MAX_S)
 
     def unit(self, engine: str, key: str) -> str:
         """Return a property of an engine's unit."""
@@ -118,7 +119,7 @@ class BootedFleet:
 
     def stores(self) -> dict:
         """Return the ticks of the rig in its history, VictoriaMetrics and SQL, see boot_stores.py."""
-        return json.loads(self.sh(f"python3 /srv/{STORES.name} {RIG}"))
+        return json.loads(self.sh(f"python3 {PLACE}/{STORES.name} {RIG}"))
 
     def api(self, path: str, values: Mapping[str, str] | None = None) -> dict:
         """Ask the page as a browser elsewhere would."""
@@ -127,7 +128,7 @@ class BootedFleet:
             change = f"-H 'content-type: application/json' -H origin:https://{NAME} -d "
             change += shlex.quote(json.dumps(values))
         url = f"https://{NAME}{path}"
-        jar = "-c /srv/jar -b /srv/jar --cacert /etc/greenhouse-fleet/ca.crt"
+        jar = f"-c {PLACE}/jar -b {PLACE}/jar --cacert /etc/greenhouse-fleet/ca.crt"
         return json.loads(self.sh(f"curl -sS --fail-with-body {jar} {change} {shlex.quote(url)}"))
 
 
@@ -174,7 +175,7 @@ def install(fleet: BootedFleet, report: BootReport) -> None:
     sh = fleet.sh
     words = ("uname -srm", "echo Debian $(cat /etc/debian_version)", "systemctl --version | head -n 1")
     report.say(f"     {', '.join(map(sh, words))}")
-    sh(f"mkdir {SOURCE} && tar -C {SOURCE} -xf /srv/greenhouse.tar")
+    sh(f"mkdir {SOURCE} && tar -C {SOURCE} -xf {PLACE}/greenhouse.tar")
     for text in ("deploy/install-fleet.sh on a fresh machine", "and again"):
         began = time.monotonic()
         said = sh(f"cd {SOURCE} && sudo sh deploy/install-fleet.sh", INSTALL_MAX_S).splitlines()[-1]
@@ -217,17 +218,17 @@ def rig(fleet: BootedFleet, report: BootReport) -> None:
     sh(f"printf %s {shlex.quote(BOARD)} >/etc/systemd/system/board.service && systemctl enable --now board")
     said = fleet.greenhouse(f"rig add {RIG} --group north --kind tent")
     report.check("rig add", said.startswith(f"{RIG}.tar.gz") and RIG in fleet.greenhouse("rig list"))
-    paper = sh(f"tar -xzOf /root/{RIG}.tar.gz README.txt")
+    paper = sh(f"tar -xzOf {PLACE}/{RIG}.tar.gz README.txt")
     commands = re.findall(r"^    (.+)$", paper, re.MULTILINE)
     for command in commands[:-1]:
-        sh(f"cd /root && {command}")
+        sh(f"cd {PLACE} && {command}")
     mqtt = yaml.safe_load(sh("cat /etc/greenhouse/fleet/mqtt.yaml"))
     sh(f"echo {shlex.quote(yaml.safe_dump(SETTINGS | mqtt))} >/etc/greenhouse/edge.yaml")
     sh(f"greenhouse check-config /etc/greenhouse/edge.yaml && {commands[-1]}", UP_MAX_S)
     report.check("the commands of the archive's README", len(commands) > 2, wait_until_stored(fleet))
     user = sh("ps -o user= -p $(systemctl show --value -p MainPID greenhouse)")
     report.check("the rig's daemon is another user", user == "greenhouse", user)
-    sh(f"cd /root && echo {shlex.quote(PASSWORD)} | sudo greenhouse fleet user add Ann --role admin")
+    sh(f"cd {PLACE} && echo {shlex.quote(PASSWORD)} | sudo greenhouse fleet user add Ann --role admin")
     report.check("user add", fleet.greenhouse("user list").split() == ["Ann", "*", "admin"])
     report.check("a session", fleet.api("/api/session", {"name": "Ann", "password": PASSWORD})["ok"])
     listed = fleet.api("/api/rigs")
