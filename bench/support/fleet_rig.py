@@ -58,7 +58,8 @@ class RigWithoutBoard:
         self, utc: float | None = None, events: tuple[Event, ...] = (), waits: bool = True, **changes: Any
     ) -> int:
         """Make one tick, now unless `utc` is given; return its number. waits : until it is in the history"""
-        seq, at = self._next_seq, round(time.time() if utc is None else utc, 3)
+        seq = self._next_seq
+        at = self._new_time() if utc is None else round(utc, 3)
         made = record(seq, 20.0 + seq % 100 / 10, events, utc=at, **changes)
         self._next_seq += 1
         self._storage.write(made)
@@ -69,6 +70,12 @@ class RigWithoutBoard:
             self.telemetry.write(made)
             self.telemetry.show(self._loop.values())
         return seq
+
+    def _new_time(self) -> float:
+        """Return the time, that of no tick before: the store keeps one sample of a millisecond."""
+        while (now := round(time.time(), 3)) in self.sent.values():
+            time.sleep(0.0005)
+        return now
 
     def depth(self) -> int:
         """Return how many messages wait for the broker's word."""
