@@ -85,7 +85,9 @@ class RolloutSettings(Section):
     error: float = number(
         0.05, "probability at most that a rollout is stopped without such harm", "1", 1e-6, 0.5
     )
-    wave_h: float = number(120.0, "then a wave is over, harm or safety shown or not", "h", 24.0, 2000.0)
+    wave_h: float = number(
+        120.0, "a wave that is shown neither worse nor safe by then waits for a person", "h", 24.0, 2000.0
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from fleet.rollout.begin import begin
 from fleet.rollout.blocks import BEFORE_S
 from fleet.rollout.judge import HOUR_S, HourCost
 from fleet.rollout.runner import RolloutRunner
-from fleet.rollout.states import News
+from fleet.rollout.states import News, WaveState
 from fleet.settings import DatabaseSettings, RolloutSettings
 
 BEGIN_UTC = 480_000 * HOUR_S  # a day begins
@@ -135,16 +135,17 @@ def roll_out(seed: int, scenario: str, costs: SimulatedCosts) -> RolloutRow:
                     break
             fleet.utc += HOUR_S
         with Session(engine) as session:
-            rollout, first = session.get_one(BundleRollout, number), session.get_one(RolloutWave, (number, 1))
+            rollout = session.get_one(BundleRollout, number)
+            first, last = (session.get_one(RolloutWave, (number, wave)) for wave in (1, rollout.wave))
             ended = fleet.utc if rollout.ended_utc is None else rollout.ended_utc
             row = RolloutRow(
                 seed,
                 scenario,
-                rollout.state,
+                last.state if last.state == WaveState.HELD else rollout.state,
                 rollout.wave,
                 (ended - start) / HOUR_S,
                 ((first.ended_utc or ended) - start) / HOUR_S,
-                rollout.why if rollout.state == "stopped" else first.why,
+                rollout.why or last.why if rollout.state != "done" else first.why,
                 true_dearer(costs, SCENARIOS[scenario]),
             )
         engine.dispose()
@@ -173,17 +174,20 @@ def summary(rows: Sequence[RolloutRow]) -> Iterator[str]:
         own = [row for row in rows if row.scenario == scenario]
         done = [row for row in own if row.state == "done"]
         first = [row for row in own if row.state == "stopped" and row.wave == 1]
+        held = [sum(row.state == "held" and row.wave == wave for row in own) for wave in (1, 2)]
         yield (
             f"{scenario}: stopped in wave 1 in {len(first)} of {len(own)} seeds{_after(first)}, "
-            f"reaches all boxes in {len(done)}{_after(done)}"
+            f"held there in {held[0]}, in wave 2 in {held[1]}; reaches all boxes in {len(done)}{_after(done)}"
         )
     harmful = [row for row in rows if max(row.dearer.values()) > SETTINGS.margin]
     harmless = [row for row in rows if max(row.dearer.values()) <= SETTINGS.margin]
-    found = sum(row.state == "stopped" for row in harmful)
-    wrong = sum(row.state == "stopped" for row in harmless)
+    found, wrong = (
+        " and ".join(f"{sum(row.state == state for row in rows)} {state}" for state in ("stopped", "held"))
+        for rows in (harmful, harmless)
+    )
     yield (
         f"by true cost: of {len(harmful)} rollouts that make a kind dearer by over {SETTINGS.margin:.0%}, "
-        f"{found} are stopped; of {len(harmless)} others {wrong}"
+        f"{found}; of {len(harmless)} others {wrong}"
     )
 
 

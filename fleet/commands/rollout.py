@@ -1,4 +1,4 @@
-"""`greenhouse fleet rollout`: begin, watch, stop and run rollouts of bundles."""
+"""`greenhouse fleet rollout`: begin, watch, let go on, stop and run rollouts of bundles."""
 
 import argparse
 import signal
@@ -14,7 +14,7 @@ from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout, RolloutWave
 from fleet.database.lease import FleetLease, LeaseLost
 from fleet.rollout.archives import add_archive
-from fleet.rollout.begin import begin, rigs_of, stop_by_person
+from fleet.rollout.begin import begin, go_on_by_person, rigs_of, stop_by_person
 from fleet.rollout.costs import costs_from
 from fleet.rollout.rig_line import MqttRigLine
 from fleet.rollout.runner import RolloutRunner
@@ -25,6 +25,7 @@ WORK = "rollouts"  # of the lease
 ACTIONS = {
     "start": "take a signed bundle in and begin to spread it",
     "status": "show rollouts, their waves and rigs",
+    "go-on": "let a wave pass that is held: after its time neither harm nor safety is shown",
     "stop": "end a rollout; its rigs roll back",
     "run": "serve rollouts until it is ended: order, judge, go on or roll back",
 }
@@ -41,8 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         each.add_argument("--settings", type=Path, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     action["start"].add_argument("bundle", type=Path, help="archive or folder of the bundle")
     action["start"].add_argument("--group", default="", help="rigs of this group alone; default: all rigs")
-    action["stop"].add_argument("rollout", type=int, help="its number")
-    action["stop"].add_argument("--why", default="a person stopped it", help="reason, for the record")
+    for name, done in {"go-on": "let it go on", "stop": "stopped it"}.items():
+        action[name].add_argument("rollout", type=int, help="its number")
+        action[name].add_argument("--why", default=f"a person {done}", help="reason, for the record")
     action["status"].add_argument("--rigs", action="store_true", help="a line for each rig too")
 
 
@@ -56,6 +58,9 @@ def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
             print(f"rollout {number} begins; `greenhouse fleet rollout run` serves it")
         case "status":
             _show(engine, arguments.rigs)
+        case "go-on":
+            wave = go_on_by_person(engine, arguments.rollout, arguments.why, time.time())
+            print(f"rollout {arguments.rollout}: wave {wave} has passed")
         case "stop":
             stop_by_person(engine, arguments.rollout, arguments.why, time.time())
             print(f"rollout {arguments.rollout} is stopped; its rigs are ordered to roll back")

@@ -1,4 +1,4 @@
-"""A rollout is begun or stopped by a person: rows in the database, which the runner takes up."""
+"""A rollout is begun, let go on or stopped by a person: rows in the database, which the runner takes up."""
 
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
@@ -57,12 +57,30 @@ def stop(session: Session, rollout: BundleRollout, why: str, utc: float) -> None
 def stop_by_person(engine: Engine, number: int, why: str, utc: float) -> None:
     """Stop a rollout that runs. Errors: RequestError"""
     with Session(engine) as session, session.begin():
-        rollout = session.get(BundleRollout, number)
-        if rollout is None:
-            raise RequestError(f"there is no rollout {number}")
-        if rollout.state != RolloutState.RUNNING:
-            raise RequestError(f"rollout {number} is {rollout.state} already")
-        stop(session, rollout, why, utc)
+        stop(session, _running(session, number), why, utc)
+
+
+def go_on_by_person(engine: Engine, number: int, why: str, utc: float) -> int:
+    """Let a wave pass that is held, and return which one. Errors: RequestError"""
+    with Session(engine) as session, session.begin():
+        rollout = _running(session, number)
+        wave = session.get(RolloutWave, (number, rollout.wave))
+        if wave is None or wave.state != WaveState.HELD:
+            state = "has not begun" if wave is None else f"is {wave.state}"
+            raise RequestError(
+                f"rollout {number}: wave {rollout.wave} {state}: only one that is held can go on"
+            )
+        wave.state, wave.ended_utc, wave.why = WaveState.PASSED, utc, f"{why}; {wave.why}"
+        return wave.wave
+
+
+def _running(session: Session, number: int) -> BundleRollout:
+    rollout = session.get(BundleRollout, number)
+    if rollout is None:
+        raise RequestError(f"there is no rollout {number}")
+    if rollout.state != RolloutState.RUNNING:
+        raise RequestError(f"rollout {number} is {rollout.state} already")
+    return rollout
 
 
 def rigs_of(session: Session, rollout: BundleRollout) -> list[RolloutRig]:

@@ -154,13 +154,24 @@ class RolloutRunner:
             return []
         assert wave.judged_from_utc is not None
         rules = JudgeRules(rollout.margin, rollout.error, len(SHARES))
-        found = judge(kinds, rules, utc - wave.judged_from_utc >= rollout.wave_h * HOUR_S)
+        found = judge(kinds, rules)
         wave.kinds = {kind: asdict(row) for kind, row in found.kinds.items()}
         if found.verdict is Verdict.WORSE:
             return [self._stop(session, rollout, found.why, utc)]
-        if found.verdict is not Verdict.WAIT:
+        if found.verdict is Verdict.NOT_WORSE:
             return [self._pass(rollout, wave, f"{found.verdict.value}: {found.why}", utc)]
-        return []
+        if utc - wave.judged_from_utc < rollout.wave_h * HOUR_S:
+            return []
+        if is_last(wave.wave):  # all have the bundle: nothing is left that could be spared
+            return [self._pass(rollout, wave, f"time is over: {found.why}", utc)]
+        return self._hold(rollout, wave, found.why)
+
+    def _hold(self, rollout: BundleRollout, wave: RolloutWave, why: str) -> list[str]:
+        """Leave a wave of which too little is known to a person; it is judged on."""
+        is_news = wave.state != WaveState.HELD
+        wave.state, wave.why = WaveState.HELD, why
+        order = f"`greenhouse fleet rollout go-on {rollout.number}`, or `stop`"
+        return [f"rollout {rollout.number}: wave {wave.wave} is held, {why}; {order}"] if is_news else []
 
     def _pass(self, rollout: BundleRollout, wave: RolloutWave, why: str, utc: float) -> str:
         wave.state, wave.ended_utc, wave.why = WaveState.PASSED, utc, why

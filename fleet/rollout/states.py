@@ -21,6 +21,7 @@ class WaveState(StrEnum):
 
     INSTALLING = "installing"
     JUDGING = "judging"
+    HELD = "held"  # its time is over and nothing is shown: judged on, until a person lets it go on
     PASSED = "passed"
     STOPPED = "stopped"
 

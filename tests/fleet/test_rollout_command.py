@@ -40,6 +40,8 @@ def test_a_rollout_is_begun_shown_and_stopped(
     assert "rollout 1 begins" in capsys.readouterr().out
     assert call(monkeypatch, "--settings", path, "status", "--rigs") == 0
     assert capsys.readouterr().out == "rollout 1: bundle 2.0 is running\n"
+    assert call(monkeypatch, "go-on", "1", "--settings", path) == 2
+    assert "wave 0 has not begun: only one that is held can go on" in capsys.readouterr().err
     assert call(monkeypatch, "stop", "1", "--why", "too early", "--settings", path) == 0
     with Session(open_database(DatabaseSettings(url=url))) as session:
         rollout = session.get_one(BundleRollout, 1)

@@ -50,23 +50,21 @@ def drawn(mean: float, blocks: int, seed: int) -> list[float]:
 
 
 def test_one_bad_kind_stops_a_wave_and_is_named() -> None:
-    found = judge({"tent": drawn(0.0, 24, 1), "case": drawn(0.4, 24, 2)}, RULES, time_is_over=False)
+    found = judge({"tent": drawn(0.0, 24, 1), "case": drawn(0.4, 24, 2)}, RULES)
     assert found.verdict is Verdict.WORSE
     assert "kind case is dearer by 4" in found.why or "kind case is dearer by 3" in found.why
 
 
 def test_a_good_wave_is_shown_not_worse_but_not_before_a_day() -> None:
     good = {"tent": drawn(0.0, 60, 1), "case": drawn(-0.05, 60, 2)}
-    assert judge(good, RULES, time_is_over=False).verdict is Verdict.NOT_WORSE
+    assert judge(good, RULES).verdict is Verdict.NOT_WORSE
     early = {kind: values[: RULES.least_blocks - 1] for kind, values in good.items()}
-    assert judge(early, RULES, time_is_over=False).verdict is Verdict.WAIT
+    assert judge(early, RULES).verdict is Verdict.WAIT
 
 
-def test_a_wave_that_nothing_is_known_of_waits_until_its_time_is_over() -> None:
-    assert judge({"tent": []}, RULES, time_is_over=False).verdict is Verdict.WAIT
-    found = judge({"tent": []}, RULES, time_is_over=True)
-    assert found.verdict is Verdict.TIME_OVER
-    assert "tent" in found.why
+def test_a_wave_that_nothing_is_known_of_waits_and_names_the_kinds() -> None:
+    found = judge({"tent": [], "": []}, RULES)
+    assert (found.verdict, found.why) == (Verdict.WAIT, "not shown to be within 10%: -, tent")
 
 
 def test_false_stops_over_all_looks_and_kinds_stay_within_the_error() -> None:
@@ -75,7 +73,7 @@ def test_false_stops_over_all_looks_and_kinds_stay_within_the_error() -> None:
         # Both ends of the range, mean at the margin: as bad as a bundle that shall not be stopped can be.
         share = 0.5 + RULES.margin / (2.0 * BOUND)
         blocks = np.where(rng.random((3, 60)) < share, BOUND, -BOUND)
-        found = judge(dict(zip("abc", blocks.tolist(), strict=True)), RULES, time_is_over=True)
+        found = judge(dict(zip("abc", blocks.tolist(), strict=True)), RULES)
         stops += found.verdict is Verdict.WORSE
     # a third of 5 % for one of three waves: 6.7 of 400, and 3 standard deviations of 2.6
     assert stops <= 14

@@ -13,7 +13,7 @@ from edge.core.errors import DataError, RequestError
 from fleet.database.base import FleetTable
 from fleet.database.lease import FleetLease, LeaseLost
 from fleet.database.rigs import FleetRig
-from fleet.rollout.begin import begin, stop_by_person
+from fleet.rollout.begin import begin, go_on_by_person, stop_by_person
 from fleet.rollout.runner import RolloutRunner
 from fleet.rollout.states import News
 from fleet.settings import DatabaseSettings
@@ -168,10 +168,45 @@ def test_without_numbers_a_wave_waits_and_says_why(database: DatabaseSettings) -
     assert fleet.state().state == "running"
 
 
-def test_a_wave_whose_time_is_over_goes_on_and_says_so(database: DatabaseSettings) -> None:
-    fleet = FleetInMemory(database, dearer={kind: 0.1 for kind in ("tent", "case", "cold frame")})
+def test_a_wave_whose_time_is_over_is_held_until_a_person_lets_it_go_on(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database, dearer={"tent": 0.1})
+    fleet.run(hours=118.0, look_h=1.5)
+    with pytest.raises(RequestError, match="wave 1 is judging: only one that is held can go on"):
+        go_on_by_person(fleet.engine, 1, "", fleet.utc)
+    assert fleet.run(hours=30.0, look_h=1.5).state == "running"
+    assert (fleet.wave(1).state, fleet.wave(1).why) == ("held", "not shown to be within 10%: tent")
+    assert len(fleet.active) == 18
+    assert [text for text in fleet.said if "held" in text] == [
+        "rollout 1: wave 1 is held, not shown to be within 10%: tent; "
+        "`greenhouse fleet rollout go-on 1`, or `stop`"
+    ]
+    assert go_on_by_person(fleet.engine, 1, "the tents are mine", fleet.utc) == 1
+    fleet.look()
+    assert (fleet.state().wave, fleet.wave(1).state) == (2, "passed")
+    assert fleet.wave(1).why == "the tents are mine; not shown to be within 10%: tent"
+
+
+def test_a_wave_that_is_held_is_judged_on_and_stops_by_harm(database: DatabaseSettings) -> None:
+    fleet = FleetInMemory(database, dearer={"tent": 0.1})
     fleet.run(hours=130.0, look_h=1.5)
-    assert fleet.wave(1).why.startswith("time is over without evidence of harm: not shown to be within 10%: ")
+    assert fleet.wave(1).state == "held"
+    fleet.dearer = {"tent": 0.6}
+    found = fleet.run(hours=200.0, look_h=1.5)
+    assert (found.state, found.wave) == ("stopped", 1)
+    assert "kind tent is dearer by" in found.why
+
+
+def test_too_few_rigs_to_compare_hold_a_wave_until_a_person_lets_each_go_on(
+    database: DatabaseSettings,
+) -> None:
+    fleet = FleetInMemory(database, count=3, kinds=("tent",))
+    for wave in (1, 2):
+        assert fleet.run(hours=125.0, look_h=1.5).wave == wave
+        assert (fleet.wave(wave).state, len(fleet.active)) == ("held", wave)
+        go_on_by_person(fleet.engine, 1, "few rigs", fleet.utc)
+    found = fleet.run(hours=125.0, look_h=1.5)
+    assert (found.state, len(fleet.active)) == ("done", 3)
+    assert fleet.wave(3).why == "time is over: not shown to be within 10%: tent"
 
 
 def test_rigs_that_are_away_are_left_out_and_named(database: DatabaseSettings) -> None:
