@@ -7,10 +7,15 @@ import threading
 import time
 from datetime import datetime, timedelta
 
+from sqlalchemy import Engine
+
 from edge.core.errors import DataError, GreenhouseError, RequestError
 from edge.core.sweep import add_arguments as add_sweep_arguments
 from fleet.database.base import open_database
+from fleet.database.lease import FleetLease
 from fleet.settings import FleetSettings
+
+WORK = "the jobs of a night"  # of the lease
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,11 +57,22 @@ def seconds_until(at: tuple[int, int], now: datetime) -> float:
 
 
 def _work(settings: FleetSettings, workers: int, dask: str | None) -> None:
+    engine = open_database(settings.database)
+    lease = FleetLease(engine, WORK)
+    holder = lease.take()
+    if holder:
+        raise RequestError(f"{holder} does {WORK} now: call it again when that has ended")
+    with lease.keep():
+        _do(settings, engine, workers, dask)
+    engine.dispose()
+
+
+def _do(settings: FleetSettings, engine: Engine, workers: int, dask: str | None) -> None:
     # Late: fits take 100 MB, which a process that waits for the night need not hold.
     from fleet.jobs.diagnosis_job import diagnose_changed
     from fleet.jobs.prior_job import renew_prior
 
-    engine, utc = open_database(settings.database), time.time()
+    utc = time.time()
     found = diagnose_changed(engine, settings.numbers, utc, workers, dask)
     _say(f"diagnosis: of {len(found)} rigs whose twins disagree")
     for rig, finding in found:
@@ -69,7 +85,6 @@ def _work(settings: FleetSettings, workers: int, dask: str | None) -> None:
         _say(f"prior: of {done.boxes} boxes; {done.departures} values are far from their kind's")
         for rig, reason in done.unread.items():
             _say(f"prior: the twin of {rig} is left out: {reason}")
-    engine.dispose()
 
 
 def _say(text: str) -> None:

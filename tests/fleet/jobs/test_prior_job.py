@@ -14,7 +14,9 @@ from edge.core.errors import DataError
 from edge.diagnosis.baselines import bare
 from edge.twin.twin_file import TwinFile, read_twin_file, twin_document, write_twin_file
 from edge.twin.value import Value
+from fleet.commands.work import WORK
 from fleet.database.base import open_database
+from fleet.database.lease import FleetLease
 from fleet.database.rigs import FleetRig
 from fleet.database.twins import Departure, KeptPrior, ToldTwin
 from fleet.jobs.prior_job import newest_prior, renew_prior
@@ -98,6 +100,11 @@ def test_a_new_box_is_started_by_two_commands(
     )
     for number in range(3):
         tell(engine, f"tent-{number}", twin_document(twin()))
+    lease = FleetLease(engine, WORK)
+    assert lease.take() == ""  # as while the service does them
+    assert call("work") == 2
+    assert "does the jobs of a night now" in capsys.readouterr().err
+    lease.give_back()
     assert call("work") == 0
     assert "prior: of 3 boxes; 0 values are far" in capsys.readouterr().out
     assert call("prior", tmp_path / "box.yaml", "--kind", "tent", "--out", tmp_path / "start.yaml") == 0
