@@ -46,7 +46,9 @@ class Batch:
         if not message.size and message.what in CLEARED:
             self._clear(message, ledger)
             return
-        self.rigs.setdefault(message.rig, {})
+        values = self.rigs.setdefault(message.rig, {})
+        if not message.is_retained:
+            values["last_utc"] = self.times.utc
         try:
             _HEARD[message.what](self, message, ledger)
         except Refused as error:

@@ -24,7 +24,7 @@ Table = type[StoredSpan] | type[AbsentSpan]
 class Entry:
     """The changes of one batch.
 
-    rigs : values of columns of `rigs`, by name, of each rig that was heard
+    rigs : values of columns of `rigs`, by name, of each rig of which something came
     spans : before and after, by rig, of the histories that changed
     gone : rigs that are online no more, where they have a row
     refused : counts and the newest text, by rig and reason
@@ -90,12 +90,13 @@ def _write_rigs(session: Session, entry: Entry) -> None:
     fresh = [name for name in entry.rigs if name not in known]
     if fresh:
         usual = {"group": "", "kind": "", "is_online": False, "state": {}, "first_utc": entry.utc}
-        rows = [{"name": name, "last_utc": entry.utc, **usual} for name in fresh]
+        rows = [{"name": name, "last_utc": 0.0, **usual} for name in fresh]
         session.execute(insert(FleetRig), rows)
     changed: dict[tuple[str, ...], list[dict[str, Any]]] = {}  # rows of the same columns go together
     for name, values in entry.rigs.items():
-        row = {"name": name, "last_utc": entry.utc, **values}
-        changed.setdefault(tuple(row), []).append(row)
+        if values:
+            row = {"name": name, **values}
+            changed.setdefault(tuple(row), []).append(row)
     for rows in changed.values():
         session.execute(update(FleetRig), rows)
     for names in _portions(list(entry.gone)):

@@ -40,6 +40,7 @@ class Message:
     """A message. rig : as its topic says; what : the topic after that; size : of the payload [bytes]
 
     payload : empty where it was too large to be kept; connection : number of the connection that brought it
+    is_retained : the broker had kept it, so that its rig need not be there any more
     """
 
     rig: str
@@ -50,6 +51,7 @@ class Message:
     qos: int
     connection: int
     heard_s: float
+    is_retained: bool = False
 
 
 class FleetInbox:
@@ -189,7 +191,9 @@ class FleetInbox:
         with self._changed:
             # Meanwhile TCP holds the broker back. One that ends a silent connection sends all of it again.
             self._changed.wait_for(self._has_room)
-            heard = Message(rig, what, payload, size, message.mid, message.qos, self._connection, now)
+            heard = Message(
+                rig, what, payload, size, message.mid, message.qos, self._connection, now, message.retain
+            )
             if message.qos:
                 self._queue.append(heard)
                 self._bytes += len(payload)

@@ -21,7 +21,8 @@ from fleet.ingest.spans import Spans
 from fleet.ingest.tick import PAYLOAD_MAX
 from fleet.settings import DatabaseSettings
 
-TIMES = Times(START_UTC + 3600.0, 100.0, START_UTC - 86400.0)
+NOW = START_UTC + 3600.0
+TIMES = Times(NOW, 100.0, START_UTC - 86400.0)
 
 
 def hear(what: str, payload: Any, ledger: RigLedger | None = None, size: int = 0) -> Batch:
@@ -44,8 +45,8 @@ def test_a_state_is_kept_and_tells_the_newest_tick() -> None:
 
 def test_availability_is_one_of_two_words() -> None:
     ledger = RigLedger(0.0)
-    assert hear("availability", b"online", ledger).rigs["rig-1"] == {"is_online": True}
-    assert hear("availability", b"offline", ledger).rigs["rig-1"] == {"is_online": False}
+    assert hear("availability", b"online", ledger).rigs["rig-1"] == {"is_online": True, "last_utc": NOW}
+    assert hear("availability", b"offline", ledger).rigs["rig-1"] == {"is_online": False, "last_utc": NOW}
     assert hear("availability", b"maybe", ledger).refused[0][1].reason == "value"
     assert not ledger.is_online
 

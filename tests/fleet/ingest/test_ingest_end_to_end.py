@@ -91,6 +91,23 @@ def test_a_rig_whose_last_will_was_lost_with_the_broker_is_away_by_its_age(fleet
             assert session.scalars(select(FleetRig.name).where(are_there(utc))).all() == found
 
 
+def test_what_the_broker_had_kept_of_a_rig_is_no_word_of_it(fleet: Fleet) -> None:
+    with RigWithoutBoard(fleet.folder, "rig-1", fleet.broker.port) as rig:
+        rig.tick()
+        wait_until_all_is_stored([rig], fleet.numbers, fleet.engine, say=fleet.ingest.log)
+        wait_for(lambda: (row := fleet.rig("rig-1")) and row.is_online and row.state.get("seq") == 1)
+        before = fleet.rig("rig-1")
+        fleet.ingest.kill()
+        with Session(fleet.engine) as session, session.begin():
+            session.get_one(FleetRig, "rig-1").state = {}
+        fleet.ingest.start()
+        wait_for(lambda: (row := fleet.rig("rig-1")) and row.state.get("seq") == 1)  # as retained
+        after = fleet.rig("rig-1")
+        assert before is not None and after is not None and before.last_utc == after.last_utc > 0.0
+        rig.tick()
+        wait_for(lambda: (row := fleet.rig("rig-1")) and row.last_utc > after.last_utc)
+
+
 def test_a_twin_is_kept_while_it_runs(fleet: Fleet) -> None:
     def told() -> ToldTwin | None:
         with Session(fleet.engine) as session:
