@@ -57,6 +57,8 @@ class BatchWriter:
         self._books.write(self._entry(batch, plans, fresh, refused))
         for plan, _ in plans.values():
             plan.settle()
+        for rig in batch.gone:  # its rows may be erased from now on, and it may come again
+            self._ledgers[rig].is_loaded = False
         database_s = time.monotonic() - stored_s + loaded_s - start_s
         return BatchReport(stored_s - loaded_s, database_s, len(fresh), refused)
 

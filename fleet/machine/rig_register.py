@@ -60,7 +60,7 @@ def remove_rig(places: FleetPlaces, name: str, erase: bool) -> str:
     reload_rights(machine)
     left = _forget(settings, name)
     if engine:
-        _erase(engine, Numbers(settings.numbers), name)
+        erase_rig(engine, Numbers(settings.numbers), name)
     return left
 
 
@@ -69,7 +69,8 @@ def _has_row(engine: Engine, name: str) -> bool:
         return session.get(FleetRig, name) is not None
 
 
-def _erase(engine: Engine, numbers: Numbers, name: str) -> None:
+def erase_rig(engine: Engine, numbers: Numbers, name: str) -> None:
+    """Delete a rig's numbers, then its rows. Errors: DataError where a store is away"""
     again = f"call `greenhouse fleet rig remove {name} --erase` again"
     try:
         numbers.erase(name)

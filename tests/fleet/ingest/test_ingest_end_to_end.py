@@ -13,14 +13,17 @@ from sqlalchemy.orm import Session
 from bench.support.broker import PATIENCE_S, Broker, free_port, needs_mosquitto, wait_for
 from bench.support.fleet_rig import RigWithoutBoard
 from bench.support.ingest_process import IngestProcess
+from bench.support.mqtt_rig import settings
 from bench.support.victoria import Victoria, needs_victoria
 from edge.core.messages import Event, Severity
+from edge.mqtt.telemetry import remove as remove_retained
 from edge.twin.twin_file import TwinFile, twin_of, write_twin_file
 from edge.twin.value import Value
 from fleet.database.base import open_database
 from fleet.database.events import RigEvent
 from fleet.database.rigs import SILENT_S, FleetRig, are_there
 from fleet.database.twins import ToldTwin
+from fleet.machine.rig_register import erase_rig
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, NumbersSettings
 
@@ -106,6 +109,20 @@ def test_what_the_broker_had_kept_of_a_rig_is_no_word_of_it(fleet: Fleet) -> Non
         assert before is not None and after is not None and before.last_utc == after.last_utc > 0.0
         rig.tick()
         wait_for(lambda: (row := fleet.rig("rig-1")) and row.last_utc > after.last_utc)
+
+
+def test_a_rig_that_was_erased_and_comes_again_is_asked_for_its_old_ticks(fleet: Fleet) -> None:
+    with RigWithoutBoard(fleet.folder, "rig-1", fleet.broker.port) as rig:
+        for _ in range(3):
+            rig.tick()
+        wait_until_all_is_stored([rig], fleet.numbers, fleet.engine, say=fleet.ingest.log)
+        rig.disconnect()
+        remove_retained(settings(fleet.broker.port, rig="rig-1"))
+        wait_for(lambda: (row := fleet.rig("rig-1")) and not row.is_online)
+        erase_rig(fleet.engine, fleet.numbers, "rig-1")
+        rig.connect()
+        rig.tick()
+        wait_until_all_is_stored([rig], fleet.numbers, fleet.engine, say=fleet.ingest.log)
 
 
 def test_a_twin_is_kept_while_it_runs(fleet: Fleet) -> None:
