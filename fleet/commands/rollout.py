@@ -5,17 +5,19 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
-from sqlalchemy import Engine, select
+from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 
 from fleet.database.base import open_database
-from fleet.database.bundles import BundleRollout, RolloutWave
+from fleet.database.bundles import BundleRollout
 from fleet.database.lease import FleetLease, LeaseLost
 from fleet.rollout.archives import add_archive
 from fleet.rollout.begin import begin, go_on_by_person, rigs_of, stop_by_person
 from fleet.rollout.costs import costs_from
+from fleet.rollout.overview import newest
 from fleet.rollout.rig_line import MqttRigLine
 from fleet.rollout.runner import RolloutRunner
 from fleet.settings import FleetSettings
@@ -115,21 +117,24 @@ def _say(text: str) -> None:
 
 
 def _show(engine: Engine, with_rigs: bool) -> None:
+    for rollout in reversed(newest(engine, None, time.time())["rollouts"]):
+        print(f"rollout {rollout['number']}: bundle {rollout['version']} is {_state(rollout)}")
+        for wave in rollout["waves"]:
+            print(f"  wave {wave['wave']}: {sum(wave['rigs'].values())} rigs, {_state(wave)}")
+            for kind, figures in wave["kinds"].items():
+                print(f"    {kind or '-':<16} {_in_words(figures)}")
+        if with_rigs:
+            _show_rigs(engine, rollout["number"])
+
+
+def _show_rigs(engine: Engine, number: int) -> None:
     with Session(engine) as session:
-        for rollout in session.scalars(select(BundleRollout).order_by(BundleRollout.number)):
-            print(
-                f"rollout {rollout.number}: bundle {rollout.version} is {rollout.state}"
-                f"{f': {rollout.why}' if rollout.why else ''}"
-            )
-            rows = rigs_of(session, rollout)
-            waves = select(RolloutWave).where(RolloutWave.rollout == rollout.number)
-            for wave in session.scalars(waves.order_by(RolloutWave.wave)):
-                count = sum(row.wave == wave.wave for row in rows)
-                print(f"  wave {wave.wave}: {count} rigs, {wave.state}{f': {wave.why}' if wave.why else ''}")
-                for kind, figures in wave.kinds.items():
-                    print(f"    {kind or '-':<16} {_in_words(figures)}")
-            for row in rows if with_rigs else ():
-                print(f"  {row.rig:<24} wave {row.wave} {row.state}{f': {row.why}' if row.why else ''}")
+        for row in rigs_of(session, session.get_one(BundleRollout, number)):
+            print(f"  {row.rig:<24} wave {row.wave} {row.state}{f': {row.why}' if row.why else ''}")
+
+
+def _state(row: Mapping[str, str]) -> str:
+    return f"{row['state']}: {row['why']}" if row["why"] else row["state"]
 
 
 def _in_words(figures: dict[str, float | None]) -> str:

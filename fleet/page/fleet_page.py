@@ -3,6 +3,7 @@
 import time
 from dataclasses import dataclass, field
 from http import HTTPStatus
+from typing import Any
 
 import anyio
 from sqlalchemy import Engine
@@ -16,8 +17,10 @@ from fleet.page.alarm_shelf import AlarmShelf
 from fleet.page.order_desk import OrderDesk
 from fleet.page.people import FleetVisitor, People
 from fleet.page.rig_list import ListedRig, RigList
+from fleet.rollout.overview import waiting_numbers
 from fleet.settings import FleetSettings
 
+ROW_MAX = 2**31 - 1  # the largest number of a row that PostgreSQL knows
 COURSES_AT_ONCE = 4  # each keeps VictoriaMetrics busy
 NO_RIG = "there is no such rig in your groups"  # the same for one of another group
 
@@ -53,6 +56,24 @@ class FleetPage:
         if found is None or visitor.role(found.group) is None:
             raise NotAllowed(HTTPStatus.NOT_FOUND, NO_RIG)
         return found
+
+    async def health(self, visitor: FleetVisitor) -> dict[str, Any]:
+        """Return what a visitor should know whatever they look at.
+
+        broker : whether it answers; alarms_silent_s : since when nobody watches for alarms, None while
+        somebody does; held : rollouts that wait for a person, by number
+        """
+        silence_s = self.alarms.silence
+        return {
+            "broker": self.desk is not None and self.desk.is_connected,
+            "alarms_silent_s": None if silence_s is None else round(silence_s),
+            "held": await in_thread(waiting_numbers, self.engine, visitor.groups),
+        }
+
+
+def row_number(request: Request, key: str = "number") -> int:
+    """Return the number of a row in an address; no row has ROW_MAX, which stands for all beyond it."""
+    return min(int(request.path_params[key]), ROW_MAX)
 
 
 def refuse_below(needed: Role, own: Role | None) -> None:

@@ -20,7 +20,7 @@ from edge.page.cookie import delete_cookie, secret_of, set_cookie
 from fleet.database.alarms import FleetOrder
 from fleet.page import series
 from fleet.page.alarm_shelf import read_alerts
-from fleet.page.fleet_page import FleetPage, refuse_below
+from fleet.page.fleet_page import FleetPage, refuse_below, row_number
 from fleet.page.known_twin import known_twin
 from fleet.page.order_desk import OrderDesk, check, payload_of
 from fleet.page.people import EVERY, FleetVisitor
@@ -86,15 +86,7 @@ async def rigs(page: FleetPage, request: Request, visitor: FleetVisitor) -> Resp
     )
     drifts = {} if page.desk is None else page.desk.drifts
     listing = await in_thread(page.rigs.listing, wanted, drifts, time.time())
-    return answer(ok=True, **listing, **_health(page), utc=time.time())
-
-
-def _health(page: FleetPage) -> dict[str, Any]:
-    silence_s = page.alarms.silence
-    return {
-        "broker": page.desk is not None and page.desk.is_connected,
-        "alarms_silent_s": None if silence_s is None else round(silence_s),
-    }
+    return answer(ok=True, **listing, **await page.health(visitor), utc=time.time())
 
 
 async def rig(page: FleetPage, request: Request, visitor: FleetVisitor) -> Response:
@@ -177,12 +169,12 @@ async def alarms(page: FleetPage, request: Request, visitor: FleetVisitor) -> Re
     before_utc = number(given, "before_utc") if "before_utc" in given else None
     lasting = given.get("lasting") == "1"
     found = await in_thread(page.alarms.newest, visitor.groups, lasting, before_utc)
-    return answer(ok=True, alarms=found, **_health(page))
+    return answer(ok=True, alarms=found, **await page.health(visitor))
 
 
 async def acknowledge(page: FleetPage, request: Request, visitor: FleetVisitor) -> Response:
     """Note that the visitor has seen an alarm."""
-    place = request.path_params["number"]
+    place = row_number(request)
     group = await in_thread(page.alarms.group_of, place)
     if group is None or visitor.role(group) is None:
         raise NotAllowed(HTTPStatus.NOT_FOUND, "there is no such alarm in your groups")
@@ -223,7 +215,7 @@ async def sessions(page: FleetPage, request: Request, visitor: FleetVisitor) -> 
 async def end_session(page: FleetPage, request: Request, visitor: FleetVisitor) -> Response:
     """End a session, of whomever."""
     refuse_below(Role.ADMIN, visitor.rights.get(EVERY))
-    session = request.path_params["session"]
+    session = row_number(request, "session")
     if not await in_thread(page.people.end_session, session):
         raise RequestError(f"there is no session {session}")
     return answer(ok=True)

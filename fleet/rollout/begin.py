@@ -1,6 +1,6 @@
 """A rollout is begun, let go on or stopped by a person: rows in the database, which the runner takes up."""
 
-from sqlalchemy import Engine, select
+from sqlalchemy import Engine, select, update
 from sqlalchemy.orm import Session
 
 from edge.core.errors import RequestError
@@ -74,8 +74,18 @@ def go_on_by_person(engine: Engine, number: int, why: str, utc: float) -> int:
         return wave.wave
 
 
+def lock(session: Session, number: int) -> BundleRollout | None:
+    """Return a rollout as it is now; until the transaction ends nobody else decides about it.
+
+    SQLite has no lock of a row, and a read alone would let two decide at once: so it is written first.
+    """
+    own = update(BundleRollout).where(BundleRollout.number == number).values(wave=BundleRollout.wave)
+    session.execute(own, execution_options={"synchronize_session": False})
+    return session.get(BundleRollout, number, populate_existing=True)
+
+
 def _running(session: Session, number: int) -> BundleRollout:
-    rollout = session.get(BundleRollout, number)
+    rollout = lock(session, number)
     if rollout is None:
         raise RequestError(f"there is no rollout {number}")
     if rollout.state != RolloutState.RUNNING:

@@ -1,4 +1,4 @@
-// The fleet's page: all rigs, worst first, or the one that the address names, and the alarms.
+// The fleet's page: all rigs, worst first, or the one that the address names, the alarms, and bundles on their way.
 
 import { html, render, useEffect, useErrorBoundary, useState } from "/ui.js";
 import { call } from "/api.js";
@@ -6,8 +6,9 @@ import { Door, seconds } from "/parts.js";
 import { Alarms } from "./alarms.js";
 import { Rig } from "./rig.js";
 import { RigList } from "./rig_list.js";
+import { Rollouts } from "./rollouts.js";
 
-// What the address names: "#rig=NAME", "#alarms", else the list.
+// What the address names: "#rig=NAME", "#alarms", "#bundles", else the list.
 function usePlace() {
   const read = () => new URLSearchParams(location.hash.slice(1));
   const [place, setPlace] = useState(read);
@@ -30,25 +31,26 @@ export function Health({ health }) {
   return html`<div aria-live="polite">
     ${!health.broker && html`<p class="trouble alarm">The broker does not answer this page: no order can be given, and what rigs do now is not known.</p>`}
     ${health.alarms_silent_s != null && html`<p class="trouble warn">Nobody watches for alarms: vmalert has been silent for ${seconds(health.alarms_silent_s)}.</p>`}
+    ${health.held.map((number) => html`<p key=${number} class="trouble warn">Rollout ${number} is held and waits for a person: <a href="#bundles">see Bundles</a>.</p>`)}
   </div>`;
 }
+
+const PARTS = [["", "Rigs", RigList], ["alarms", "Alarms", Alarms], ["bundles", "Bundles", Rollouts]];
 
 function Fleet({ me }) {
   const place = usePlace();
   const [health, setHealth] = useState(null);
   const rig = place.get("rig");
-  const shown = rig ? "" : place.has("alarms") ? "alarms" : "rigs";
+  const shown = rig ? null : PARTS.map(([part]) => part).find((part) => part && place.has(part)) ?? "";
+  const Shown = PARTS.find(([part]) => part === shown)?.[2];
   const leave = () => call("DELETE", "/api/session").then(() => location.reload());
   return html`
     <header><h1><a href="#">Greenhouses</a></h1><span class="quiet">${me.name}</span><button class="end" onClick=${leave}>Log out</button></header>
     <nav aria-label="Parts of the page">
-      <a href="#" aria-current=${shown === "rigs" ? "page" : null}>Rigs</a>
-      <a href="#alarms" aria-current=${shown === "alarms" ? "page" : null}>Alarms</a>
+      ${PARTS.map(([part, words]) => html`<a key=${part} href=${`#${part}`} aria-current=${shown === part ? "page" : null}>${words}</a>`)}
     </nav>
     <${Health} health=${health} />
-    ${rig ? html`<${Part}><${Rig} key=${rig} name=${rig} /><//>`
-      : shown === "alarms" ? html`<${Part}><${Alarms} tell=${setHealth} /><//>`
-      : html`<${Part}><${RigList} tell=${setHealth} /><//>`}`;
+    <${Part} key=${rig ? `rig ${rig}` : shown}>${rig ? html`<${Rig} name=${rig} />` : html`<${Shown} tell=${setHealth} />`}<//>`;
 }
 
 function App() {

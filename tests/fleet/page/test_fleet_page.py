@@ -156,6 +156,7 @@ def test_only_an_admin_of_all_groups_sees_and_ends_sessions(page: FleetPageOfTes
     chief = page.client("Chief")
     found = {row["name"]: row["session"] for row in chief.get("/api/sessions").json()["sessions"]}
     assert ann.send("DELETE", f"/api/sessions/{found['Chief']}").status_code == 403
+    assert chief.send("DELETE", f"/api/sessions/{10**30}").status_code == 400
     assert chief.send("DELETE", f"/api/sessions/{found['Ann']}").ok
     assert ann.get("/api/me").status_code == 401
 
@@ -187,8 +188,8 @@ def test_what_rigs_tell_is_never_html(page: FleetPageOfTest) -> None:
     assert answer.headers["content-type"] == "application/json"
     assert answer.headers["x-content-type-options"] == "nosniff"
     assert "default-src 'self'" in ann.get("/").headers["content-security-policy"]
-    for path in ("/fleet/rig.js", "/fleet/rig_list.js", "/fleet/alarms.js", "/fleet/app.js"):
-        script = ann.get(path)
+    for name in ("rig", "rig_list", "alarms", "rollouts", "app"):
+        script = ann.get(f"/fleet/{name}.js")
         assert script.ok
         assert "innerHTML" not in script.text
 
@@ -217,7 +218,8 @@ def test_alarms_begin_last_end_and_are_acknowledged_in_their_group(page: FleetPa
     other = next(
         row for row in page.client("Chief").get("/api/alarms").json()["alarms"] if row["rig"] == "b-1"
     )
-    assert ann.post(f"/api/alarms/{other['id']}/acknowledge").status_code == 404
+    for hidden in (other["id"], 10**30):
+        assert ann.post(f"/api/alarms/{hidden}/acknowledge").status_code == 404
     post(alert("rig_silent", "a-1", ends="2001-01-01T00:00:00.123456789Z"))
     assert ann.get("/api/alarms?lasting=1").json()["alarms"] == []
     (found,) = ann.get("/api/alarms").json()["alarms"]

@@ -1,0 +1,79 @@
+// Rollouts of bundles, the newest first. A wave of which too little is known waits here for a person.
+
+import { html, useEffect, useState } from "/ui.js";
+import { call } from "/api.js";
+import { Do } from "/parts.js";
+import { usePoll } from "./poll.js";
+
+const day = (utc) => new Date(1000 * utc).toLocaleString([], { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
+const span = (row) => `${day(row.began_utc)}${row.ended_utc ? ` to ${day(row.ended_utc)}` : ""}`;
+const share = (value) => `${value > 0 ? "+" : ""}${(100 * value).toFixed(1)} %`;
+const evidence = (value) => (value < 1e4 ? Number(value.toPrecision(2)) : value.toExponential(0));
+const states = (rigs) => Object.entries(rigs).map(([state, count]) => `${count} ${state}`).join(", ");
+
+function Figures({ kinds }) {
+  const rows = Object.entries(kinds);
+  if (!rows.length) return null;
+  return html`<table><thead><tr><th>kind</th><th>cost</th><th>hours</th><th>evidence of harm</th><th>of no harm</th></tr></thead><tbody>
+    ${rows.map(([kind, row]) => html`<tr key=${kind}><th scope="row">${kind || "–"}</th>
+      ${row.difference == null ? html`<td colspan="4" class="quiet">nothing could be compared</td>`
+        : html`<td>${share(row.difference)}</td><td>${row.blocks}</td><td>${evidence(row.harm)}</td><td>${evidence(row.safety)}</td>`}</tr>`)}</tbody></table>`;
+}
+
+function Wave({ wave }) {
+  return html`<section class="wave" aria-label=${`Wave ${wave.wave}`}><h3>Wave ${wave.wave}: <span class=${`why ${wave.state}`}>${wave.state}</span></h3>
+    ${wave.why && html`<p>${wave.why}</p>`}
+    <p class="quiet">${span(wave)} · ${states(wave.rigs) || "no rig"}</p>
+    <${Figures} kinds=${wave.kinds} />
+  </section>`;
+}
+
+function Complaints({ rollout }) {
+  if (!rollout.complaints.length) return null;
+  return html`<h3>Rigs that complain</h3><ul class="items">
+    ${rollout.complaints.map((row) => html`<li key=${row.rig}><a href=${`#rig=${encodeURIComponent(row.rig)}`}>${row.rig}</a> <span class="quiet">wave ${row.wave}, ${row.state}</span><br />${row.why}</li>`)}</ul>
+    ${rollout.complaints_left_off > 0 && html`<p class="quiet">And ${rollout.complaints_left_off} more: <code>greenhouse fleet rollout status --rigs</code>.</p>`}`;
+}
+
+// What somebody with the right to it does about a rollout that runs; a stop is asked for twice.
+function Decide({ rollout, isHeld, done }) {
+  const [why, setWhy] = useState("");
+  const [asks, setAsks] = useState(false);
+  const decide = (what) => () => call("POST", `/api/rollouts/${rollout.number}/${what}`, why.trim() ? { why: why.trim() } : {}).then(() => { setWhy(""); setAsks(false); }).finally(done);
+  return html`<div class="row" role="group" aria-label=${`Decide about rollout ${rollout.number}`}>
+    <input aria-label="Why" placeholder="why, for the record" maxlength="200" value=${why} onInput=${(event) => setWhy(event.target.value)} />
+    ${isHeld && !asks && html`<${Do} kind="plain" act=${decide("go-on")}>Let it go on<//>`}
+    ${!asks ? html`<button onClick=${() => setAsks(true)}>Stop and roll back</button>` : html`<div class="proposal" role="status">
+      <p>Every rig that has this bundle is ordered to go back to the one before it. The rollout cannot be taken up again.</p>
+      <div class="row"><${Do} kind="plain" act=${decide("stop")}>Stop it now<//><button onClick=${() => setAsks(false)}>Leave it</button></div></div>`}
+  </div>`;
+}
+
+function Rollout({ rollout, done }) {
+  const runs = rollout.state === "running";
+  const wave = rollout.waves.find((each) => each.wave === rollout.wave);
+  const isHeld = runs && wave?.state === "held";
+  const may = rollout.role === "admin";
+  return html`<section class="card wide" aria-label=${`Rollout ${rollout.number}`}>
+    <h2>Bundle ${rollout.version} for ${rollout.group ? `group ${rollout.group}` : "the whole fleet"}: <span class=${`why ${rollout.state}`}>${rollout.state}</span></h2>
+    <p class="quiet">rollout ${rollout.number} · ${span(rollout)}</p>
+    ${rollout.why && html`<p>${rollout.why}</p>`}
+    ${isHeld && html`<p class="trouble warn">Wave ${wave.wave} is held: too little is known to go on. It is judged on meanwhile, and ${may ? "you decide" : "somebody with the role admin decides"}.</p>`}
+    ${runs && may && html`<${Decide} rollout=${rollout} isHeld=${isHeld} done=${done} />`}
+    ${!rollout.waves.length && html`<p class="quiet">No wave has begun yet.</p>`}
+    ${[...rollout.waves].reverse().map((each) => html`<${Wave} key=${each.wave} wave=${each} />`)}
+    <${Complaints} rollout=${rollout} />
+  </section>`;
+}
+
+export function Rollouts({ tell }) {
+  const { found, error, again } = usePoll("/api/rollouts", 10);
+  useEffect(() => { if (found) tell(found); }, [found]);
+  if (!found) return html`<p class=${error ? "error" : "quiet"} role=${error ? "alert" : null}>${error || "Loading …"}</p>`;
+  return html`<main>
+    ${error && html`<p class="error wide" role="alert">${error}. What follows is of ${day(found.utc)}.</p>`}
+    ${found.rollouts.map((rollout) => html`<${Rollout} key=${rollout.number} rollout=${rollout} done=${again} />`)}
+    ${!found.rollouts.length && html`<section class="card wide" aria-label="Bundles"><p class="quiet">No bundle has been spread yet. <code>greenhouse fleet rollout start</code> begins it.</p></section>`}
+    ${found.left_off > 0 && html`<p class="quiet wide">And ${found.left_off} older ones: <code>greenhouse fleet rollout status</code>.</p>`}
+  </main>`;
+}
