@@ -4,7 +4,7 @@ Each look is one transaction, and orders are sent after it, again and again unti
 any moment costs at most an order that comes twice, which rigs allow.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from math import ceil
 
@@ -15,7 +15,7 @@ from edge.core.errors import DataError
 from fleet.database.bundles import BundleRollout, RolloutBlock, RolloutRig, RolloutWave
 from fleet.database.rigs import FleetRig, are_there
 from fleet.rollout.archives import archive_url
-from fleet.rollout.begin import rigs_of, stop
+from fleet.rollout.begin import lock, rigs_of, stop
 from fleet.rollout.blocks import due, take_block, who_compares
 from fleet.rollout.costs import Costs
 from fleet.rollout.judge import HOUR_S, JudgeRules, Verdict, judge
@@ -25,6 +25,10 @@ from fleet.rollout.waves import SHARES, KindRigs, choose_wave, is_last
 
 AGAIN_S = 300.0  # until an order that was not answered is sent again
 SETTLE_S = 3600.0  # after a change a controller's estimate and the box come to rest
+
+
+class DecidedMeanwhile(Exception):
+    """A person has stopped a rollout, or let it go on, since a look began."""
 
 
 class RolloutRunner:
@@ -57,12 +61,16 @@ class RolloutRunner:
             return []
         self.problem = ""
         told: list[str] = []
-        with Session(self._engine) as session, session.begin():
-            self._hear(session, utc)
-            running = select(BundleRollout).where(BundleRollout.state == RolloutState.RUNNING)
-            for rollout in session.scalars(running).all():
-                told += self._advance(session, rollout, utc)
-            self._check(session)  # last: on SQLite nobody can write from here on, and costs take their time
+        try:
+            with Session(self._engine) as session, session.begin():
+                asked = select(BundleRollout).where(BundleRollout.state == RolloutState.RUNNING)
+                running = session.scalars(asked).all()
+                self._hear(session, utc)
+                for rollout in running:
+                    told += self._advance(session, rollout, utc)
+                self._check(session)
+        except DecidedMeanwhile:
+            return []  # nothing was written; the next look sees what they did, and hears the same news
         self._line.confirm()
         self._send(utc)
         return told
@@ -83,14 +91,18 @@ class RolloutRunner:
 
     def _advance(self, session: Session, rollout: BundleRollout, utc: float) -> list[str]:
         """Take the next step of a rollout that runs."""
+        wave = session.get(RolloutWave, (rollout.number, rollout.wave))
+        kinds = None
+        if wave is not None and wave.state in (WaveState.JUDGING, WaveState.HELD):
+            kinds = self._blocks(session, rollout, wave, utc)
+        _hold_people_off(session, rollout, wave)  # now: on SQLite nobody can write, and costs take their time
         if why := harm(rigs_of(session, rollout), utc, self._hearing_utc):
             return [self._stop(session, rollout, why, utc)]
-        wave = session.get(RolloutWave, (rollout.number, rollout.wave))
         if wave is None or wave.state == WaveState.PASSED:
             return self._next_wave(session, rollout, utc)
         if wave.state == WaveState.INSTALLING:
             return self._await_rigs(session, rollout, wave, utc)
-        return self._judge(session, rollout, wave, utc)
+        return [] if kinds is None else self._judge(session, rollout, wave, kinds, utc)
 
     def _stop(self, session: Session, rollout: BundleRollout, why: str, utc: float) -> str:
         stop(session, rollout, why, utc)
@@ -148,10 +160,14 @@ class RolloutRunner:
         wave.judged_from_utc = ceil((utc + SETTLE_S) / HOUR_S) * HOUR_S
         return [f"rollout {rollout.number}: all {len(rows)} rigs of wave {wave.wave} have obeyed"]
 
-    def _judge(self, session: Session, rollout: BundleRollout, wave: RolloutWave, utc: float) -> list[str]:
-        kinds = self._blocks(session, rollout, wave, utc)
-        if kinds is None:
-            return []
+    def _judge(
+        self,
+        session: Session,
+        rollout: BundleRollout,
+        wave: RolloutWave,
+        kinds: Mapping[str, Sequence[float]],
+        utc: float,
+    ) -> list[str]:
         assert wave.judged_from_utc is not None
         rules = JudgeRules(rollout.margin, rollout.error, len(SHARES))
         found = judge(kinds, rules)
@@ -218,6 +234,16 @@ class RolloutRunner:
                 else:
                     sent = self._line.roll_back(row.rig, rollout.version)
                 row.sent_utc = utc if sent else row.sent_utc
+
+
+def _hold_people_off(session: Session, rollout: BundleRollout, wave: RolloutWave | None) -> None:
+    """Let nobody else decide about a rollout until the end of the look. Errors: DecidedMeanwhile"""
+    before = wave and wave.state
+    lock(session, rollout.number)
+    if wave is not None:
+        session.refresh(wave)
+    if (rollout.state, wave and wave.state) != (RolloutState.RUNNING, before):
+        raise DecidedMeanwhile
 
 
 def _kinds(

@@ -1,7 +1,8 @@
 """The runner over a fleet in memory: passes, stops, rolls back, and goes on after a kill at any look."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fleet_in_memory import SETTINGS, SHA256, FleetInMemory
@@ -11,9 +12,11 @@ from sqlalchemy.orm import Session
 from bench.support.postgres import Postgres, needs_postgres
 from edge.core.errors import DataError, RequestError
 from fleet.database.base import FleetTable
+from fleet.database.bundles import RolloutWave
 from fleet.database.lease import FleetLease, LeaseLost
 from fleet.database.rigs import FleetRig
 from fleet.rollout.begin import begin, go_on_by_person, stop_by_person
+from fleet.rollout.judge import HOUR_S, HourCost
 from fleet.rollout.runner import RolloutRunner
 from fleet.rollout.states import News
 from fleet.settings import DatabaseSettings
@@ -184,6 +187,54 @@ def test_a_wave_whose_time_is_over_is_held_until_a_person_lets_it_go_on(database
     fleet.look()
     assert (fleet.state().wave, fleet.wave(1).state) == (2, "passed")
     assert fleet.wave(1).why == "the tents are mine; not shown to be within 10%: tent"
+
+
+@pytest.mark.parametrize("decide", [stop_by_person, go_on_by_person])
+def test_what_a_person_decides_while_costs_are_read_holds(
+    database: DatabaseSettings, decide: Callable[..., object]
+) -> None:
+    fleet = FleetInMemory(database)
+    fleet.run(hours=3.0)
+    with Session(fleet.engine) as session, session.begin():
+        wave = session.get_one(RolloutWave, (1, 1))
+        assert wave.state == "judging"
+        wave.state = "held"
+    costs, said = fleet.costs, len(fleet.said)
+
+    def costs_while_a_person_decides(*asked: Any) -> list[HourCost]:
+        if fleet.state().state == "running" and fleet.wave(1).state == "held":
+            decide(fleet.engine, 1, "Ann did", fleet.utc)
+        return costs(*asked)
+
+    fleet.costs = costs_while_a_person_decides  # type: ignore[method-assign]
+    fleet.utc += 2 * HOUR_S  # a block is due
+    fleet.look()
+    ended = "stopped" if decide is stop_by_person else "passed"
+    assert (fleet.wave(1).state, len(fleet.said)) == (ended, said)
+    assert fleet.wave(1).why.startswith("Ann did")
+
+
+@pytest.mark.parametrize("hours", [0.0, 0.5], ids=["before a wave", "before an answer is taken"])
+def test_a_stop_while_the_runner_looks_is_the_end(
+    database: DatabaseSettings, monkeypatch: pytest.MonkeyPatch, hours: float
+) -> None:
+    fleet = FleetInMemory(database)
+    if hours:
+        fleet.look()
+        assert fleet.told  # their answers wait: each would become active
+    looking = RolloutRunner._hear
+
+    def hear_while_a_person_stops(runner: RolloutRunner, session: Session, utc: float) -> None:
+        with session.no_autoflush:
+            looking(runner, session, utc)
+            if fleet.state().state == "running":
+                stop_by_person(fleet.engine, 1, "Ann did", utc)
+
+    monkeypatch.setattr(RolloutRunner, "_hear", hear_while_a_person_stops)
+    for _ in range(3):
+        fleet.look()
+    assert (fleet.state().state, fleet.state().why, fleet.active) == ("stopped", "Ann did", {})
+    assert fleet.state().wave == (1 if hours else 0)
 
 
 def test_a_wave_that_is_held_is_judged_on_and_stops_by_harm(database: DatabaseSettings) -> None:
