@@ -4,6 +4,7 @@ from typing import Any
 
 import yaml
 
+from fleet.numbers.series import PREFIX, SEQ
 from fleet.page.alarm_shelf import WATCHDOG
 from fleet.settings import AlarmRuleSettings
 
@@ -22,14 +23,14 @@ def alarm_rules(settings: AlarmRuleSettings) -> str:
 
 def _rules(settings: AlarmRuleSettings) -> list[dict[str, Any]]:
     silent_s, air_max_c = settings.silent_s, settings.air_max_c
-    last = f"max by (rig) (tlast_over_time(greenhouse_seq[{SEEN}]))"
+    last = f"max by (rig) (tlast_over_time({PREFIX}{SEQ}[{SEEN}]))"
     rig = "{{ $labels.rig }}"
     return [
         # It always holds: while it comes, somebody watches.
         _rule(WATCHDOG, "vector(1)", "info", "vmalert watches"),
         _rule(
             "fleet_silent",
-            f"time() - max(tlast_over_time(greenhouse_seq[{SEEN}])) > {silent_s:g}",
+            f"time() - max(tlast_over_time({PREFIX}{SEQ}[{SEEN}])) > {silent_s:g}",
             "alarm",
             "no rig has told anything for {{ $value | humanizeDuration }}: broker or ingest may be away",
         ),
@@ -41,25 +42,25 @@ def _rules(settings: AlarmRuleSettings) -> list[dict[str, Any]]:
         ),
         _rule(
             "air_too_hot",
-            f"max by (rig) (max_over_time(greenhouse_temp_air_c[{RECENT}])) > {air_max_c:g}",
+            f"max by (rig) (max_over_time({PREFIX}temp_air_c[{RECENT}])) > {air_max_c:g}",
             "alarm",
             f'{rig}: air at {{{{ $value | printf "%.1f" }}}} °C, above {air_max_c:g} °C',
         ),
         _rule(
             "rig_tripped",
-            f"max by (rig) (max_over_time(greenhouse_echo_tripped[{RECENT}])) > 0",
+            f"max by (rig) (max_over_time({PREFIX}echo_tripped[{RECENT}])) > 0",
             "alarm",
             f"{rig}: its board has tripped",
         ),
         _rule(
             "board_silent",
-            f"max by (rig) (max_over_time(greenhouse_link_up[{RECENT}])) == 0",
+            f"max by (rig) (max_over_time({PREFIX}link_up[{RECENT}])) == 0",
             "alarm",
             f"{rig}: its board is silent",
         ),
         _rule(
             "no_air_temperature",
-            f"min by (rig) (min_over_time(greenhouse_temp_air_c_quality[{RECENT}])) > 0",
+            f"min by (rig) (min_over_time({PREFIX}temp_air_c_quality[{RECENT}])) > 0",
             "alarm",
             f"{rig}: no trustworthy air temperature for 5 minutes",
         ),

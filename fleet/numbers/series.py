@@ -35,6 +35,7 @@ def any_series(rig: str) -> str:
 
 
 def selector(quantity: str, **labels: str) -> str:
-    """Return the selector of a quantity's series with these labels."""
-    known = ",".join(f'{name}="{value}"' for name, value in labels.items())
+    """Return the selector of a quantity's series with these labels, whose values may be of outside."""
+    # JSON's quotes are PromQL's, so no name of a rig can end the text that it stands in.
+    known = ",".join(f"{name}={json.dumps(value, ensure_ascii=False)}" for name, value in labels.items())
     return f"{PREFIX}{quantity}{{{known}}}"

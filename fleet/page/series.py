@@ -1,8 +1,8 @@
 """Courses of one rig for a picture, asked of VictoriaMetrics: one question, all lines on one grid."""
 
-import json
 import math
 
+from fleet.numbers.series import selector
 from fleet.numbers.victoria import Numbers
 from fleet.settings import NumbersSettings
 
@@ -10,16 +10,16 @@ ANSWER_MAX_S = 10.0
 POINTS_MAX = 2000
 LEAST_STEP_S = 60.0  # a tick of most rigs
 SPAN_MAX_S = 366 * 86_400.0
-# Line of the picture -> query. A bare series holds its value for about as long as a tick lasts, by
-# VictoriaMetrics' own look at the distance between samples.
+# Line of the picture -> its quantity, and the rollup over each step, "" for none. A bare series holds its
+# value for about as long as a tick lasts, by VictoriaMetrics' own look at the distance between samples.
 LINES = {
-    "air_c": "greenhouse_temp_air_c{%s}",
-    "air_low_c": "min_over_time(greenhouse_temp_air_c{%s}[%ds])",
-    "air_high_c": "max_over_time(greenhouse_temp_air_c{%s}[%ds])",
-    "reference_c": "greenhouse_reference_c{%s}",
-    "room_c": "greenhouse_estimate_temp_ambient_c{%s}",
-    "heater": "greenhouse_echo_heater_duty{%s}",
-    "fan": "greenhouse_echo_fan_share{%s}",
+    "air_c": ("temp_air_c", ""),
+    "air_low_c": ("temp_air_c", "min_over_time"),
+    "air_high_c": ("temp_air_c", "max_over_time"),
+    "reference_c": ("reference_c", ""),
+    "room_c": ("estimate_temp_ambient_c", ""),
+    "heater": ("echo_heater_duty", ""),
+    "fan": ("echo_fan_share", ""),
 }
 
 Columns = dict[str, list[float | None]]
@@ -47,10 +47,9 @@ def course(
 
 
 def _query(rig: str, step_s: int) -> str:
-    # JSON's quotes are PromQL's, so no name of a rig can end the text that it stands in.
-    chosen = f"rig={json.dumps(rig, ensure_ascii=False)}"
-    parts = (
-        f'label_set({query.replace("%s", chosen).replace("%d", str(step_s))}, "line", "{line}")'
-        for line, query in LINES.items()
-    )
+    def line(quantity: str, rollup: str) -> str:
+        chosen = selector(quantity, rig=rig)
+        return f"{rollup}({chosen}[{step_s}s])" if rollup else chosen
+
+    parts = (f'label_set({line(*asked)}, "line", "{name}")' for name, asked in LINES.items())
     return f"union({', '.join(parts)})"
