@@ -6,7 +6,9 @@ from sqlalchemy.orm import Session
 from edge.core.errors import RequestError
 from fleet.database.bundles import BundleRollout, FleetBundle, RolloutRig, RolloutWave
 from fleet.database.rigs import FleetRig
+from fleet.rollout.judge import JudgeRules
 from fleet.rollout.states import OPEN, RigState, RolloutState, WaveState
+from fleet.rollout.waves import SHARES
 from fleet.settings import RolloutSettings
 
 
@@ -91,6 +93,11 @@ def _running(session: Session, number: int) -> BundleRollout:
     if rollout.state != RolloutState.RUNNING:
         raise RequestError(f"rollout {number} is {rollout.state} already")
     return rollout
+
+
+def rules_of(rollout: BundleRollout) -> JudgeRules:
+    """Return the rules with which a rollout began."""
+    return JudgeRules(rollout.margin, rollout.error, len(SHARES))
 
 
 def rigs_of(session: Session, rollout: BundleRollout) -> list[RolloutRig]:

@@ -56,6 +56,14 @@ class JudgeRules:
     waves: int
     least_blocks: int = DAY_H // BLOCK_H
 
+    @property
+    def safe_from(self) -> float:
+        """Return the evidence that shows a kind to be safe.
+
+        Every kind has to be shown: that one of them is called safe by mistake needs no share for each kind.
+        """
+        return self.waves / self.error
+
 
 @dataclass(frozen=True, slots=True)
 class KindJudgement:
@@ -114,8 +122,7 @@ def judge(differences: Mapping[str, Sequence[float]], rules: JudgeRules) -> Wave
         if row.harm >= tests / rules.error:
             why = f"kind {kind or '-'} is dearer by {row.difference:.0%}, evidence of harm {row.harm:.3g}"
             return WaveJudgement(Verdict.WORSE, why, found)
-    # Every kind has to be shown: that one of them is called safe by mistake needs no share for each kind.
-    safe = [kind for kind, row in found.items() if row.safety >= rules.waves / rules.error]
+    safe = [kind for kind, row in found.items() if row.safety >= rules.safe_from]
     seen = min((row.blocks for row in found.values()), default=0)
     if found and len(safe) == len(found) and seen >= rules.least_blocks:
         return WaveJudgement(Verdict.NOT_WORSE, f"every kind is within {rules.margin:.0%}", found)

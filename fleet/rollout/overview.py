@@ -9,6 +9,7 @@ from sqlalchemy.orm import Session
 
 from edge.core.plain_text import plain
 from fleet.database.bundles import BundleRollout, RolloutRig, RolloutWave
+from fleet.rollout.begin import rules_of
 from fleet.rollout.states import (
     ANSWER_MAX_S,
     OFFLINE_MAX_S,
@@ -45,7 +46,7 @@ def newest(engine: Engine, groups: Groups, utc: float, most: int | None = None) 
     return {
         "rollouts": [
             {key: getattr(rollout, key) for key in ROLLOUT_KEYS}
-            | {"waves": waves[rollout.number]}
+            | {"waves": waves[rollout.number], "safe_from": rules_of(rollout).safe_from}
             | {"complaints": complaints[rollout.number][:COMPLAINTS_MAX]}
             | {"complaints_left_off": max(0, len(complaints[rollout.number]) - COMPLAINTS_MAX)}
             for rollout in rollouts
@@ -87,8 +88,9 @@ def _waves(session: Session, numbers: Sequence[int]) -> dict[int, list[Json]]:
     found: dict[int, list[Json]] = {number: [] for number in numbers}
     waves = select(RolloutWave).where(RolloutWave.rollout.in_(numbers))
     for row in session.scalars(waves.order_by(RolloutWave.wave)):
-        rigs = states.get((row.rollout, row.wave), Counter())
-        found[row.rollout].append({key: getattr(row, key) for key in WAVE_KEYS} | {"rigs": dict(rigs)})
+        counts = states.get((row.rollout, row.wave), Counter())
+        rigs = {state: counts[state] for state in RigState if counts[state]}
+        found[row.rollout].append({key: getattr(row, key) for key in WAVE_KEYS} | {"rigs": rigs})
     return found
 
 

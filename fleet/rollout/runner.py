@@ -15,13 +15,13 @@ from edge.core.errors import DataError
 from fleet.database.bundles import BundleRollout, RolloutBlock, RolloutRig, RolloutWave
 from fleet.database.rigs import FleetRig, are_there
 from fleet.rollout.archives import archive_url
-from fleet.rollout.begin import lock, rigs_of, stop
+from fleet.rollout.begin import lock, rigs_of, rules_of, stop
 from fleet.rollout.blocks import due, take_block, who_compares
 from fleet.rollout.costs import Costs
-from fleet.rollout.judge import HOUR_S, JudgeRules, Verdict, judge
+from fleet.rollout.judge import HOUR_S, Verdict, judge
 from fleet.rollout.rig_line import RigLine
 from fleet.rollout.states import RigState, RolloutState, WaveState, harm, take_news
-from fleet.rollout.waves import SHARES, KindRigs, choose_wave, is_last
+from fleet.rollout.waves import KindRigs, choose_wave, is_last
 
 AGAIN_S = 300.0  # until an order that was not answered is sent again
 SETTLE_S = 3600.0  # after a change a controller's estimate and the box come to rest
@@ -169,8 +169,7 @@ class RolloutRunner:
         utc: float,
     ) -> list[str]:
         assert wave.judged_from_utc is not None
-        rules = JudgeRules(rollout.margin, rollout.error, len(SHARES))
-        found = judge(kinds, rules)
+        found = judge(kinds, rules_of(rollout))
         wave.kinds = {kind: asdict(row) for kind, row in found.kinds.items()}
         if found.verdict is Verdict.WORSE:
             return [self._stop(session, rollout, found.why, utc)]

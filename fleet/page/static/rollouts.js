@@ -8,23 +8,24 @@ import { usePoll } from "./poll.js";
 const day = (utc) => new Date(1000 * utc).toLocaleString([], { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
 const span = (row) => `${day(row.began_utc)}${row.ended_utc ? ` to ${day(row.ended_utc)}` : ""}`;
 const share = (value) => `${value > 0 ? "+" : ""}${(100 * value).toFixed(1)} %`;
-const evidence = (value) => (value < 1e4 ? Number(value.toPrecision(2)) : value.toExponential(0));
+const evidence = (value) => (value < 1e6 ? Number(value.toPrecision(2)) : "over a million");
 const states = (rigs) => Object.entries(rigs).map(([state, count]) => `${count} ${state}`).join(", ");
 
-function Figures({ kinds }) {
+// safeFrom : evidence of no harm that is enough
+function Figures({ kinds, safeFrom }) {
   const rows = Object.entries(kinds);
   if (!rows.length) return null;
-  return html`<table><thead><tr><th>kind</th><th>cost</th><th>hours</th><th>evidence of harm</th><th>of no harm</th></tr></thead><tbody>
+  return html`<table><thead><tr><th>kind</th><th>cost</th><th>hours</th><th>evidence of harm</th><th>of no harm; ${evidence(safeFrom)} is enough</th></tr></thead><tbody>
     ${rows.map(([kind, row]) => html`<tr key=${kind}><th scope="row">${kind || "–"}</th>
       ${row.difference == null ? html`<td colspan="4" class="quiet">nothing could be compared</td>`
         : html`<td>${share(row.difference)}</td><td>${row.blocks}</td><td>${evidence(row.harm)}</td><td>${evidence(row.safety)}</td>`}</tr>`)}</tbody></table>`;
 }
 
-function Wave({ wave }) {
+function Wave({ wave, safeFrom }) {
   return html`<section class="wave" aria-label=${`Wave ${wave.wave}`}><h3>Wave ${wave.wave}: <span class=${`why ${wave.state}`}>${wave.state}</span></h3>
     ${wave.why && html`<p>${wave.why}</p>`}
     <p class="quiet">${span(wave)} · ${states(wave.rigs) || "no rig"}</p>
-    <${Figures} kinds=${wave.kinds} />
+    <${Figures} kinds=${wave.kinds} safeFrom=${safeFrom} />
   </section>`;
 }
 
@@ -61,7 +62,7 @@ function Rollout({ rollout, done }) {
     ${isHeld && html`<p class="trouble warn">Wave ${wave.wave} is held: too little is known to go on. It is judged on meanwhile, and ${may ? "you decide" : "somebody with the role admin decides"}.</p>`}
     ${runs && may && html`<${Decide} rollout=${rollout} isHeld=${isHeld} done=${done} />`}
     ${!rollout.waves.length && html`<p class="quiet">No wave has begun yet.</p>`}
-    ${[...rollout.waves].reverse().map((each) => html`<${Wave} key=${each.wave} wave=${each} />`)}
+    ${[...rollout.waves].reverse().map((each) => html`<${Wave} key=${each.wave} wave=${each} safeFrom=${rollout.safe_from} />`)}
     <${Complaints} rollout=${rollout} />
   </section>`;
 }

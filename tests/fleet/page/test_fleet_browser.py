@@ -5,11 +5,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from axe_core_python.selenium import Axe
+from fleet_browser import PATIENCE_S, is_within, log_in, serious_findings, text
 from fleet_pages import PASSWORD, STATE, FleetPageOfTest, fleet_page
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from selenium.webdriver.remote.webdriver import WebDriver
 from sqlalchemy.orm import Session
 
 from bench.support.broker import free_port, wait_for
@@ -21,7 +20,6 @@ from fleet.settings import NumbersSettings
 
 pytestmark = pytest.mark.slow
 EVIL = '<img src=x onerror="document.title=1">'
-PATIENCE_S = 40.0
 
 
 @pytest.fixture
@@ -36,29 +34,6 @@ def page(tmp_path: Path) -> Iterator[FleetPageOfTest]:
             session.add(ToldTwin(rig="rig-07", bundle=EVIL, utc=1.7e9, document=twin))
         running.people.add("Ann", "north", Role.OPERATE, PASSWORD)
         yield running
-
-
-def text(driver: WebDriver) -> str:
-    return driver.find_element(By.TAG_NAME, "body").text
-
-
-def log_in(driver: WebDriver, page: FleetPageOfTest) -> None:
-    """Log in as a person does who has no mouse."""
-    driver.get(page.base)
-    wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, "input[type=password]"), "the door", PATIENCE_S)
-    driver.find_element(By.CSS_SELECTOR, "input[autocomplete=username]").send_keys("Ann", Keys.TAB, PASSWORD)
-    driver.switch_to.active_element.send_keys(Keys.ENTER)
-    wait_for(lambda: "17 " not in text(driver) and "cold" in text(driver), "the list of rigs", PATIENCE_S)
-
-
-def serious_findings(driver: WebDriver) -> list[str]:
-    """Return what a screen reader would stumble over."""
-    found = Axe().run(driver)["violations"]
-    return [each["id"] for each in found if each["impact"] in ("serious", "critical")]
-
-
-def is_within(driver: WebDriver, size: tuple[int, int]) -> bool:
-    return bool(driver.execute_script("return document.documentElement.scrollWidth") <= size[0])
 
 
 @pytest.mark.parametrize(("size", "dark"), [(PHONE, False), (DESK, True)])

@@ -69,6 +69,7 @@ def test_a_rollout_is_shown_with_its_waves_and_the_rigs_that_complain(page: Flee
         "role": "view",
         "ended_utc": None,
     }
+    assert found["safe_from"] == pytest.approx(300.0)  # three waves, an error of 1 %
     (wave,) = found["waves"]
     assert (wave["wave"], wave["state"], wave["why"]) == (1, "held", "not shown to be within 10%: tent")
     assert (wave["rigs"], wave["kinds"]) == ({"active": 3, "refused": 1}, {"tent": UNSURE})
