@@ -26,12 +26,12 @@ function Part({ children }) {
 }
 
 // What makes the rest of the page less than true.
-export function Health({ health }) {
+export function Health({ health, shown }) {
   if (!health) return null;
   return html`<div aria-live="polite">
     ${!health.broker && html`<p class="trouble alarm">The broker does not answer this page: no order can be given, and what rigs do now is not known.</p>`}
     ${health.alarms_silent_s != null && html`<p class="trouble warn">Nobody watches for alarms: vmalert has been silent for ${seconds(health.alarms_silent_s)}.</p>`}
-    ${health.held.map((number) => html`<p key=${number} class="trouble warn">Rollout ${number} is held and waits for a person: <a href="#bundles">see Bundles</a>.</p>`)}
+    ${shown !== "bundles" && health.held.map((number) => html`<p key=${number} class="trouble warn">Rollout ${number} is held and waits for a person: <a href="#bundles">see Bundles</a>.</p>`)}
   </div>`;
 }
 
@@ -49,7 +49,7 @@ function Fleet({ me }) {
     <nav aria-label="Parts of the page">
       ${PARTS.map(([part, words]) => html`<a key=${part} href=${`#${part}`} aria-current=${shown === part ? "page" : null}>${words}</a>`)}
     </nav>
-    <${Health} health=${health} />
+    <${Health} health=${health} shown=${shown} />
     <${Part} key=${rig ? `rig ${rig}` : shown}>${rig ? html`<${Rig} name=${rig} />` : html`<${Shown} tell=${setHealth} />`}<//>`;
 }
 

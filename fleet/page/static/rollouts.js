@@ -6,8 +6,8 @@ import { Do } from "/parts.js";
 import { usePoll } from "./poll.js";
 
 const day = (utc) => new Date(1000 * utc).toLocaleString([], { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
-const span = (row) => `${day(row.began_utc)}${row.ended_utc ? ` to ${day(row.ended_utc)}` : ""}`;
-const share = (value) => `${value > 0 ? "+" : ""}${(100 * value).toFixed(1)} %`;
+const span = (row) => (row.ended_utc ? `${day(row.began_utc)} to ${day(row.ended_utc)}` : `since ${day(row.began_utc)}`);
+const share = (value) => `${value > 0 ? "+" : ""}${(100 * value).toFixed(1)}\u00a0%`;
 const evidence = (value) => (value < 1e6 ? Number(value.toPrecision(2)) : "over a million");
 const states = (rigs) => Object.entries(rigs).map(([state, count]) => `${count} ${state}`).join(", ");
 
@@ -15,17 +15,18 @@ const states = (rigs) => Object.entries(rigs).map(([state, count]) => `${count} 
 function Figures({ kinds, safeFrom }) {
   const rows = Object.entries(kinds);
   if (!rows.length) return null;
-  return html`<table><thead><tr><th>kind</th><th>cost</th><th>hours</th><th>evidence of harm</th><th>of no harm; ${evidence(safeFrom)} is enough</th></tr></thead><tbody>
+  return html`<table><thead><tr><th>kind</th><th>cost</th><th>hours</th><th>evidence of harm</th><th>of no harm</th></tr></thead><tbody>
     ${rows.map(([kind, row]) => html`<tr key=${kind}><th scope="row">${kind || "–"}</th>
       ${row.difference == null ? html`<td colspan="4" class="quiet">nothing could be compared</td>`
-        : html`<td>${share(row.difference)}</td><td>${row.blocks}</td><td>${evidence(row.harm)}</td><td>${evidence(row.safety)}</td>`}</tr>`)}</tbody></table>`;
+        : html`<td>${share(row.difference)}</td><td>${row.blocks}</td><td>${evidence(row.harm)}</td><td>${evidence(row.safety)}</td>`}</tr>`)}</tbody></table>
+    <p class="quiet">Evidence of no harm from ${evidence(safeFrom)} on is enough.</p>`;
 }
 
-function Wave({ wave, safeFrom }) {
+function Wave({ wave, rollout }) {
   return html`<section class="wave" aria-label=${`Wave ${wave.wave}`}><h3>Wave ${wave.wave}: <span class=${`why ${wave.state}`}>${wave.state}</span></h3>
-    ${wave.why && html`<p>${wave.why}</p>`}
+    ${wave.why && wave.why !== rollout.why && html`<p>${wave.why}</p>`}
     <p class="quiet">${span(wave)} · ${states(wave.rigs) || "no rig"}</p>
-    <${Figures} kinds=${wave.kinds} safeFrom=${safeFrom} />
+    <${Figures} kinds=${wave.kinds} safeFrom=${rollout.safe_from} />
   </section>`;
 }
 
@@ -37,16 +38,17 @@ function Complaints({ rollout }) {
 }
 
 // What somebody with the right to it does about a rollout that runs; a stop is asked for twice.
-function Decide({ rollout, isHeld, done }) {
+// decided(error) : called with "" or with why it was refused
+function Decide({ rollout, isHeld, decided }) {
   const [why, setWhy] = useState("");
   const [asks, setAsks] = useState(false);
-  const decide = (what) => () => call("POST", `/api/rollouts/${rollout.number}/${what}`, why.trim() ? { why: why.trim() } : {}).then(() => { setWhy(""); setAsks(false); }).finally(done);
+  const decide = (what) => () => call("POST", `/api/rollouts/${rollout.number}/${what}`, why.trim() ? { why: why.trim() } : {}).then(() => { setWhy(""); decided(""); }, (error) => decided(error.message)).finally(() => setAsks(false));
   return html`<div class="row" role="group" aria-label=${`Decide about rollout ${rollout.number}`}>
     <input aria-label="Why" placeholder="why, for the record" maxlength="200" value=${why} onInput=${(event) => setWhy(event.target.value)} />
     ${isHeld && !asks && html`<${Do} kind="plain" act=${decide("go-on")}>Let it go on<//>`}
     ${!asks ? html`<button onClick=${() => setAsks(true)}>Stop and roll back</button>` : html`<div class="proposal" role="status">
       <p>Every rig that has this bundle is ordered to go back to the one before it. The rollout cannot be taken up again.</p>
-      <div class="row"><${Do} kind="plain" act=${decide("stop")}>Stop it now<//><button onClick=${() => setAsks(false)}>Leave it</button></div></div>`}
+      <div class="row"><${Do} kind="grave" act=${decide("stop")}>Stop it now<//><button onClick=${() => setAsks(false)}>Leave it</button></div></div>`}
   </div>`;
 }
 
@@ -55,14 +57,18 @@ function Rollout({ rollout, done }) {
   const wave = rollout.waves.find((each) => each.wave === rollout.wave);
   const isHeld = runs && wave?.state === "held";
   const may = rollout.role === "admin";
+  // Kept here: where somebody else was first, the buttons go with the next answer, and the reason has to stay.
+  const [refusal, setRefusal] = useState("");
+  const decided = (error) => { setRefusal(error); done(); };
   return html`<section class="card wide" aria-label=${`Rollout ${rollout.number}`}>
     <h2>Bundle ${rollout.version} for ${rollout.group ? `group ${rollout.group}` : "the whole fleet"}: <span class=${`why ${rollout.state}`}>${rollout.state}</span></h2>
     <p class="quiet">rollout ${rollout.number} · ${span(rollout)}</p>
     ${rollout.why && html`<p>${rollout.why}</p>`}
     ${isHeld && html`<p class="trouble warn">Wave ${wave.wave} is held: too little is known to go on. It is judged on meanwhile, and ${may ? "you decide" : "somebody with the role admin decides"}.</p>`}
-    ${runs && may && html`<${Decide} rollout=${rollout} isHeld=${isHeld} done=${done} />`}
+    ${runs && may && html`<${Decide} rollout=${rollout} isHeld=${isHeld} decided=${decided} />`}
+    ${refusal && html`<p class="error" role="alert">${refusal}</p>`}
     ${!rollout.waves.length && html`<p class="quiet">No wave has begun yet.</p>`}
-    ${[...rollout.waves].reverse().map((each) => html`<${Wave} key=${each.wave} wave=${each} safeFrom=${rollout.safe_from} />`)}
+    ${[...rollout.waves].reverse().map((each) => html`<${Wave} key=${each.wave} wave=${each} rollout=${rollout} />`)}
     <${Complaints} rollout=${rollout} />
   </section>`;
 }

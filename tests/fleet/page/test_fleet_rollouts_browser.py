@@ -44,6 +44,12 @@ def press(driver: WebDriver, words: str) -> None:
     driver.find_element(By.XPATH, f"//button[text()='{words}']").send_keys(Keys.ENTER)
 
 
+def come_to(driver: WebDriver, part: str, words: str) -> None:
+    """Come to a part of the page by its tab."""
+    driver.find_element(By.CSS_SELECTOR, f"nav a[href='{part}']").send_keys(Keys.ENTER)
+    wait_for(lambda: driver.find_elements(By.XPATH, f"//main[contains(., '{words}')]"), words, PATIENCE_S)
+
+
 def find_rollout(driver: WebDriver, page: FleetPageOfTest, name: str) -> None:
     """Log in and come to the rollout by the line above the rigs."""
     log_in(driver, page, name)
@@ -68,7 +74,9 @@ def test_an_admin_lets_a_held_wave_go_on_and_then_stops_it(  # type: ignore[no-u
         driver.find_element(By.CSS_SELECTOR, "input[aria-label=Why]").send_keys("few tents")
         press(driver, "Let it go on")
         wait_for(lambda: "Ann let it go on: few tents" in text(driver), "the wave that passed", PATIENCE_S)
-        wait_for(lambda: "waits for a person" not in text(driver), "the line's end", PATIENCE_S)
+        come_to(driver, "#", "rig-00")
+        assert "waits for a person" not in text(driver)
+        come_to(driver, "#bundles", "Bundle")
         assert not driver.find_elements(By.XPATH, "//button[text()='Let it go on']")
         press(driver, "Stop and roll back")
         wait_for(lambda: "cannot be taken up again" in text(driver), "the question", PATIENCE_S)
@@ -92,7 +100,15 @@ def test_who_may_not_decide_sees_it_and_a_decision_that_comes_late_says_why(page
         assert not driver.find_elements(By.CSS_SELECTOR, "main button, main input")
     with browser(DESK) as driver:
         find_rollout(driver, page, "Ann")
+        # A page that nobody looks at asks nothing, so it does not learn of it before the button is pressed.
+        driver.execute_script(
+            "window.isAway = true; Object.defineProperty(document, 'hidden', {get: () => window.isAway})"
+        )
         with Session(open_database(page.settings.database)) as session, session.begin():
             session.get_one(RolloutWave, (1, 1)).state = "passed"
         press(driver, "Let it go on")
         wait_for(lambda: "wave 1 is passed: only one that is held" in text(driver), "why", PATIENCE_S)
+        driver.execute_script("window.isAway = false")
+        wait_for(lambda: "Wave 1: passed" in text(driver), "what has happened meanwhile", PATIENCE_S)
+        assert "only one that is held" in text(driver)
+        assert not driver.find_elements(By.XPATH, "//button[text()='Let it go on']")
