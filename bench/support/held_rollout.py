@@ -6,9 +6,11 @@ from sqlalchemy.orm import Session
 
 from fleet.database.bundles import BundleRollout, FleetBundle, RolloutRig, RolloutWave
 from fleet.rollout.states import RigState, RolloutState, WaveState
+from fleet.settings import RolloutSettings
 
 DAY_S = 86_400.0
-WHY = "not shown to be within 10%"
+USUAL = RolloutSettings()
+WHY = f"not shown to be within {USUAL.margin:.0%}"
 UNSURE = {"blocks": 120, "difference": 0.062, "harm": 1.8, "safety": 4.1}
 SAFE = {"blocks": 120, "difference": -0.013, "harm": 1.0, "safety": 2.3e4}
 
@@ -38,9 +40,9 @@ def add_held_rollout(
         group=group,
         state=RolloutState.RUNNING,
         wave=1,
-        margin=0.1,
-        error=0.01,
-        wave_h=120.0,
+        margin=USUAL.margin,
+        error=USUAL.error,
+        wave_h=USUAL.wave_h,
         began_utc=began_utc,
     )
     session.add(rollout)

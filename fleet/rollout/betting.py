@@ -12,6 +12,8 @@ import numpy as np
 # Shares of the largest bet that can't lose everything; capital is split evenly among them before the first
 # value, so that no share has to be chosen after values were seen.
 SHARES = np.array([0.03, 0.06, 0.12, 0.25, 0.5, 0.9])
+# Far beyond any evidence that is asked for: a wave may be held for months, and JSON has no infinity.
+MOST = 1e15
 
 
 def evidence_above(values: Sequence[float], mean: float, bound: float) -> float:
@@ -27,8 +29,9 @@ def evidence_above(values: Sequence[float], mean: float, bound: float) -> float:
     if not np.all(np.abs(steps) <= bound):  # NaN too
         raise ValueError(f"fleet.rollout: a value is not within -{bound}..{bound}")
     gains = 1.0 + np.outer(steps - mean, SHARES) / (bound + mean)
-    capital = np.cumprod(gains, axis=0).mean(axis=1)
-    return float(max(1.0, capital.max(initial=1.0)))
+    with np.errstate(over="ignore"):
+        capital = np.cumprod(gains, axis=0).mean(axis=1)
+    return float(min(capital.max(initial=1.0), MOST))
 
 
 def evidence_below(values: Sequence[float], mean: float, bound: float) -> float:

@@ -2,14 +2,18 @@
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from fleet_pages import TOKEN, FleetPageOfTest, fleet_page
+from sqlalchemy.orm import Session
 
 from bench.support.broker import wait_for
+from bench.support.held_rollout import add_held_rollout
 from bench.support.postgres import Postgres, needs_postgres
 from edge.page.access import Role
+from fleet.database.base import open_database
 from fleet.settings import DatabaseSettings
 
 pytestmark = needs_postgres
@@ -43,6 +47,20 @@ def test_people_rigs_and_alarms_are_as_over_sqlite(page: FleetPageOfTest) -> Non
     assert ann.get("/api/alarms").json()["alarms"][0]["seen_by"] == "Ann"
     page.people.remove("Ann")
     assert ann.get("/api/me").status_code == 401
+
+
+def test_of_many_who_decide_about_a_rollout_at_once_one_alone_does(page: FleetPageOfTest) -> None:
+    page.add_rig("a-1", "north", "tent")
+    with Session(open_database(page.settings.database)) as session, session.begin():
+        number = add_held_rollout(session, time.time(), {"a-1": "tent"}, "north", unsure=["tent"]).number
+    clients = [page.client(f"P{each}", "north", Role.ADMIN) for each in range(4)]
+    with ThreadPoolExecutor(len(clients)) as pool:
+        found = pool.map(lambda own: own.post(f"/api/rollouts/{number}/go-on").status_code, clients)
+    assert sorted(found) == [200, 400, 400, 400]
+    (rollout,) = clients[0].get("/api/rollouts").json()["rollouts"]
+    (wave,) = rollout["waves"]
+    assert (wave["state"], wave["rigs"], wave["why"].count("let it go on")) == ("passed", {"active": 1}, 1)
+    assert clients[0].post(f"/api/rollouts/{10**30}/stop").status_code == 404
 
 
 def test_a_database_that_was_away_is_an_error_with_a_reason_and_then_forgotten(

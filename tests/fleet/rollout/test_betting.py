@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fleet.rollout.betting import evidence_above, evidence_below
+from fleet.rollout.betting import MOST, evidence_above, evidence_below
 
 ERROR, BOUND, MARGIN, LOOKS = 0.05, 0.5, 0.1, 200
 
@@ -56,3 +56,7 @@ def test_evidence_never_falls_with_more_values_and_begins_at_one() -> None:
 def test_a_value_outside_the_bound_is_refused(wrong: float) -> None:
     with pytest.raises(ValueError, match="not within"):
         evidence_above([0.1, wrong], MARGIN, BOUND)
+
+
+def test_months_of_evidence_stay_a_number() -> None:
+    assert evidence_below([-BOUND] * 5000, MARGIN, BOUND) == MOST
