@@ -6,6 +6,7 @@ import pytest
 from bundles import Workshop
 from sqlalchemy.orm import Session
 
+from bench.support.held_rollout import add_held_rollout
 from edge.__main__ import main
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout
@@ -46,6 +47,29 @@ def test_a_rollout_is_begun_shown_and_stopped(
     with Session(open_database(DatabaseSettings(url=url))) as session:
         rollout = session.get_one(BundleRollout, 1)
         assert (rollout.state, rollout.why) == ("stopped", "too early")
+
+
+def test_a_held_wave_is_shown_with_its_figures_and_let_go_on(
+    place: tuple[Workshop, Path, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, path, url = place
+    with Session(open_database(DatabaseSettings(url=url))) as session, session.begin():
+        for version in ("1.0", "2.0"):
+            rollout = add_held_rollout(session, 1.8e9, {"tent-1": "tent"}, version=version, unsure=["tent"])
+            rollout.state = "stopped" if version == "1.0" else "running"
+    assert call(monkeypatch, "go-on", "2", "--settings", path) == 0
+    assert call(monkeypatch, "status", "--rigs", "--settings", path) == 0
+    figures = (
+        "    tent             +6.2% cost over 120 blocks, evidence of harm 1.8, of no harm 4.1\n"
+        "  tent-1                   wave 1 active\n"
+    )
+    assert capsys.readouterr().out == (
+        "rollout 2: wave 1 has passed\n"
+        "rollout 1: bundle 1.0 is stopped\n"
+        f"  wave 1: 1 rigs, held: not shown to be within 10%: tent\n{figures}"
+        "rollout 2: bundle 2.0 is running\n"
+        f"  wave 1: 1 rigs, passed: a person let it go on; not shown to be within 10%: tent\n{figures}"
+    )
 
 
 def test_what_cannot_be_is_said_in_a_line(

@@ -8,7 +8,7 @@ import { usePoll } from "./poll.js";
 const day = (utc) => new Date(1000 * utc).toLocaleString([], { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
 const span = (row) => (row.ended_utc ? `${day(row.began_utc)} to ${day(row.ended_utc)}` : `since ${day(row.began_utc)}`);
 const share = (value) => `${value > 0 ? "+" : ""}${(100 * value).toFixed(1)}\u00a0%`;
-const evidence = (value) => (value < 1e6 ? Number(value.toPrecision(2)) : "over a million");
+const evidence = (value) => (value < 1e6 ? Number(value.toPrecision(3)) : "over a million");
 const states = (rigs) => Object.entries(rigs).map(([state, count]) => `${count} ${state}`).join(", ");
 
 // safeFrom : evidence of no harm that is enough
