@@ -13,6 +13,7 @@ VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`,
     "up": ("fleet.commands.up", "start a fleet on this machine: authority, engines, page"),
     "down": ("fleet.commands.down", "end it; its data stays unless it is erased"),
     "rig": ("fleet.commands.rig", "add, list or remove the rigs that may come in"),
+    "site": ("fleet.commands.site", "add, list or remove sites, whose own broker speaks for their rigs"),
     "user": ("fleet.commands.user", "add, list or remove people who may log in"),
     "rigs": ("fleet.commands.rigs", "list the rigs that were ever heard"),
     "changes": ("fleet.commands.changes", "tell which boxes changed, and what is missing in each"),
@@ -23,7 +24,7 @@ VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`,
     "serve": ("fleet.commands.serve", "serve the page and its API"),
     "rules": ("fleet.commands.rules", "print the rules of vmalert"),
 }
-OF_A_MACHINE = ("up", "down", "rig")  # they make what the settings need: `run(arguments)`
+OF_A_MACHINE = ("up", "down", "rig", "site")  # they make what the settings need: `run(arguments)`
 SETTINGS = Path("/etc/greenhouse-fleet/fleet.yaml")
 
 

@@ -12,6 +12,7 @@ from edge.core.messages import Event
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
 from edge.storage import Outbox, Storage
+from edge.tick.orders import Operation
 
 
 class RigWithoutBoard:
@@ -76,6 +77,11 @@ class RigWithoutBoard:
         while (now := round(time.time(), 3)) in self.sent.values():
             time.sleep(0.0005)
         return now
+
+    @property
+    def operation(self) -> Operation:
+        """The orders that its control loop follows."""
+        return self._loop.operation
 
     def depth(self) -> int:
         """Return how many messages wait for the broker's word."""

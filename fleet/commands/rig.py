@@ -38,7 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
                 print(NO_BROKER)
         case "list":
             for paper in read_papers(places):
-                print(f"{paper.name:<24} {paper.group or '-':<16} {paper.kind or '-'}")
+                own = (paper.name, paper.group or "-", paper.kind or "-", paper.site)
+                print("{:<24} {:<16} {:<16} {}".format(*own).rstrip())
         case "remove":
             left = remove_rig(places, arguments.name, arguments.erase)
             print(left or f"{arguments.name} has no rights any more")

@@ -46,28 +46,37 @@ rig.key is a secret: who has it can speak as this rig, and as no other one.
 class RigPaper(Section):
     """The fleet's own file of a rig.
 
-    common_name : drawn anew with each certificate, so that one of an earlier rig of this name has no rights
+    common_name : drawn anew with each certificate, so that one of an earlier rig of this name has no rights;
+        that of its site where it has one
     """
 
     name: str = text("", "its name in every topic", pattern=NAME_OF_RIG)
     common_name: str = text("", "the broker's name for it", pattern=r"[a-zA-Z0-9_.-]{1,64}")
     group: str = text("", "whose people may see it", pattern=WORD)
     kind: str = text("", "boxes that are built alike share one", pattern=WORD)
-    made_utc: float = number(0.0, "when its certificate was made, since 1970", "s", 0.0, 1e12)
+    made_utc: float = number(0.0, "when it came in, since 1970", "s", 0.0, 1e12)
+    site: str = text("", "whose broker speaks for it; empty: it speaks for itself", pattern=WORD)
 
 
-def new_paper(name: str, group: str, kind: str) -> RigPaper:
-    """Return the paper of a new rig. Errors: RequestError for a word that may not stand in a topic"""
-    for what, word, pattern in (
-        ("NAME", name, NAME_OF_RIG),
-        ("--group", group, WORD),
-        ("--kind", kind, WORD),
-    ):
-        if not re.fullmatch(pattern, word):
-            raise RequestError(f"{what}: {word!r} does not match {pattern}")
+def new_paper(name: str, group: str, kind: str, site: str = "", common_name: str = "") -> RigPaper:
+    """Return the paper of a new rig. Errors: RequestError for a word that may not stand in a topic
+
+    site, common_name : whose broker speaks for it, and its certificate's name; usual: a name of its own
+    """
+    own_name = new_common_name(name, "--rigs" if site else "NAME")
+    for what, word in (("--group", group), ("--kind", kind)):
+        if not re.fullmatch(WORD, word):
+            raise RequestError(f"{what}: {word!r} does not match {WORD}")
+    return RigPaper(name, common_name or own_name, group, kind, round(time.time(), 1), site)
+
+
+def new_common_name(name: str, what: str = "NAME") -> str:
+    """Return the name of a new certificate. what : the argument that has `name`. Errors: RequestError"""
+    if not re.fullmatch(NAME_OF_RIG, name):
+        raise RequestError(f"{what}: {name!r} does not match {NAME_OF_RIG}")
     if name in RESERVED:
-        raise RequestError(f"NAME: {name!r} is the fleet's own name at the broker")
-    return RigPaper(name, f"{name}.{secrets.token_hex(4)}", group, kind, round(time.time(), 1))
+        raise RequestError(f"{what}: {name!r} is the fleet's own name at the broker")
+    return f"{name}.{secrets.token_hex(4)}"
 
 
 def read_papers(places: FleetPlaces) -> Iterator[RigPaper]:
@@ -90,10 +99,10 @@ def path_of(places: FleetPlaces, name: str) -> Path:
     return places.rigs / f"{name}.yaml"
 
 
-def pack(places: FleetPlaces, machine: FleetMachine, paper: RigPaper, out: Path) -> None:
-    """Write what the rig takes with it, as an archive that only its owner reads. Errors: OSError
+def rig_files(places: FleetPlaces, machine: FleetMachine, paper: RigPaper) -> dict[str, bytes]:
+    """Return what the rig takes with it: the key is made here and stays nowhere else.
 
-    The key is made here and stays nowhere else.
+    Errors : DataError, OSError
     """
     credential = Authority(places.authority, places.authority_key).for_client(paper.common_name)
     host = machine.names[0]
@@ -107,23 +116,28 @@ def pack(places: FleetPlaces, machine: FleetMachine, paper: RigPaper, out: Path)
         "client_key": f"{HOME}/rig.key",
         "rig": paper.name,
     }
-    bundle = {"source": machine.address + BUNDLES, "source_ca": f"{HOME}/ca.crt"}
-    files = {
+    return {
         "README.txt": READ_ME.format(name=paper.name, host=host, home=HOME).encode(),
         "mqtt.yaml": yaml.safe_dump({"mqtt": mqtt}, sort_keys=False).encode(),
-        "bundle.yaml": yaml.safe_dump({"bundle": bundle}, sort_keys=False).encode(),
+        "bundle.yaml": bundle_section(machine),
         "ca.crt": places.authority.read_bytes(),
         "rig.crt": credential.certificate,
         "rig.key": credential.key,
     }
-    write_secret(out, _archive(files), 0o600)
 
 
-def _archive(files: dict[str, bytes]) -> bytes:
+def bundle_section(machine: FleetMachine) -> bytes:
+    """Return a rig's two settings by which it takes bundles from this fleet."""
+    bundle = {"source": machine.address + BUNDLES, "source_ca": f"{HOME}/ca.crt"}
+    return yaml.safe_dump({"bundle": bundle}, sort_keys=False).encode()
+
+
+def write_archive(out: Path, files: dict[str, bytes]) -> None:
+    """Write files as an archive that only its owner reads. Errors: OSError"""
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz") as archive:
         for name, content in files.items():
             entry = tarfile.TarInfo(name)
             entry.size, entry.mode, entry.mtime = len(content), 0o600, int(time.time())
             archive.addfile(entry, io.BytesIO(content))
-    return packed.getvalue()
+    write_secret(out, packed.getvalue(), 0o600)

@@ -1,6 +1,7 @@
 """Rigs come in and go: papers, rights at the broker, a row in the database."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,15 @@ from fleet.database.base import FleetTable, open_database
 from fleet.database.rigs import FleetRig
 from fleet.machine.broker_signals import reload_rights
 from fleet.machine.places import FleetPlaces
-from fleet.machine.rig_papers import new_paper, pack, path_of, write_paper
+from fleet.machine.rig_papers import (
+    RigPaper,
+    new_paper,
+    path_of,
+    read_papers,
+    rig_files,
+    write_archive,
+    write_paper,
+)
 from fleet.machine.setting_up import write_rights
 from fleet.numbers.victoria import Numbers, NumbersError
 from fleet.settings import FleetSettings, load
@@ -27,21 +36,41 @@ def add_rig(places: FleetPlaces, name: str, group: str, kind: str, out: Path) ->
     Errors : RequestError, ConfigError, DataError, OSError
     """
     machine, paper = places.read(), new_paper(name, group, kind)
-    if path_of(places, name).exists():
-        raise RequestError(f"{name} is a rig of this fleet already; remove it first to make new papers")
+    return let_in(places, [paper], rig_files(places, machine, paper), out)
+
+
+def let_in(places: FleetPlaces, papers: Sequence[RigPaper], files: dict[str, bytes], out: Path) -> bool:
+    """Let rigs come in, all or none, with one archive; return whether a broker runs that knows them now.
+
+    files : the archive's, by name
+    Errors : RequestError for a rig that is in already, ConfigError, DataError, OSError
+    """
+    here = {paper.name: paper for paper in read_papers(places)}
+    for paper in papers:
+        if paper.name in here:
+            of_site = f" of the site {site}" if (site := here[paper.name].site) else ""
+            raise RequestError(
+                f"{paper.name} is a rig of this fleet{of_site} already; remove it first to make new papers"
+            )
     if out.exists():
         raise RequestError(f"{out} exists already")
     with Session(open_database(load(places.settings).database)) as session, session.begin():
-        known = session.get(FleetRig, name)
-        if known is None:
-            known = FleetRig(name=name, first_utc=time.time(), last_utc=0.0, is_online=False, state={})
-            session.add(known)
-        known.group, known.kind = group, kind
-    # First what the rig takes: where that cannot be written, nobody has rights that nobody can use.
-    pack(places, machine, paper, out)
-    write_paper(places, paper)
+        for paper in papers:
+            _list(session, paper)
+    # First what goes to the rigs: where that cannot be written, nobody has rights that nobody can use.
+    write_archive(out, files)
+    for paper in papers:
+        write_paper(places, paper)
     write_rights(places)
-    return reload_rights(machine)
+    return reload_rights(places.read())
+
+
+def _list(session: Session, paper: RigPaper) -> None:
+    known = session.get(FleetRig, paper.name)
+    if known is None:
+        known = FleetRig(name=paper.name, first_utc=time.time(), last_utc=0.0, is_online=False, state={})
+        session.add(known)
+    known.group, known.kind = paper.group, paper.kind
 
 
 def remove_rig(places: FleetPlaces, name: str, erase: bool) -> str:
@@ -51,17 +80,29 @@ def remove_rig(places: FleetPlaces, name: str, erase: bool) -> str:
     Errors : RequestError where there is no such rig; DataError where a store is away, which says what is
         erased: all can be called again until it is through
     """
-    machine, settings, path = places.read(), load(places.settings), path_of(places, name)
+    places.read()
+    settings, path = load(places.settings), path_of(places, name)
     engine = open_database(settings.database) if erase else None
     if not path.exists() and not (engine and _has_row(engine, name)):
         raise RequestError(f"{name} is no rig of this fleet: see `greenhouse fleet rig list`")
-    path.unlink(missing_ok=True)
-    write_rights(places)
-    reload_rights(machine)
-    left = _forget(settings, name)
+    left = take_rights(places, [name])
     if engine:
         erase_rig(engine, Numbers(settings.numbers), name)
     return left
+
+
+def take_rights(places: FleetPlaces, names: Sequence[str]) -> str:
+    """Take the rights of rigs away, all at once, and their retained messages off the broker.
+
+    Returns : what could not be done at the broker, "" for nothing
+    Errors : RequestError, ConfigError, OSError
+    """
+    settings = load(places.settings)
+    for name in names:
+        path_of(places, name).unlink(missing_ok=True)
+    write_rights(places)
+    reload_rights(places.read())
+    return "; ".join(filter(None, (_forget(settings, name) for name in names)))
 
 
 def _has_row(engine: Engine, name: str) -> bool:

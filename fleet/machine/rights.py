@@ -23,15 +23,24 @@ def access_list(papers: Iterable[RigPaper]) -> str:
 
 
 def of_rig(paper: RigPaper) -> str:
-    """Return a rig's part: it publishes what it knows and hears its own orders."""
+    """Return a rig's part: it publishes what it knows and hears its own orders.
+
+    mosquitto adds up the parts of one user: a site's certificate has those of all its rigs.
+    """
     topics = Topics.of(MqttSettings(rig=paper.name))
-    writes = (
-        *sorted(topics.retained),
-        topics.event,
-        topics.proposal,
-        topics.reply,
-        f"{topics.root}/history/#",
-    )
-    reads = (topics.command("+"), topics.home_assistant_status)
-    lines = [f"topic write {topic}" for topic in writes] + [f"topic read {topic}" for topic in reads]
+    reads = (orders_of(paper.name), topics.home_assistant_status)
+    lines = [f"topic write {topic}" for topic in written_by(paper.name)]
+    lines += [f"topic read {topic}" for topic in reads]
     return "\n".join((f"user {paper.common_name}", *lines)) + "\n"
+
+
+def written_by(rig: str) -> tuple[str, ...]:
+    """Return all topics that a rig writes."""
+    topics = Topics.of(MqttSettings(rig=rig))
+    others = (topics.event, topics.proposal, topics.reply, f"{topics.root}/history/#")
+    return (*sorted(topics.retained), *others)
+
+
+def orders_of(rig: str) -> str:
+    """Return the topics on which a rig hears orders."""
+    return Topics.of(MqttSettings(rig=rig)).command("+")

@@ -1,30 +1,25 @@
 """The broker with the files that the fleet writes: each rig its own topics, and none after it is removed."""
 
 import ssl
-import subprocess
-import tarfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import yaml
+from fleet_broker import FleetBroker, answer, connected, context, fleets_context, unpacked
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from bench.support.broker import PATIENCE_S, Listener, needs_mosquitto, wait_for
-from bench.support.page_process import listens
 from bench.support.victoria import Victoria, needs_victoria
 from edge.config import loading
 from edge.core.errors import DataError, RequestError
-from edge.core.processes import die_with_parent, end_process
 from fleet.database.base import open_database
 from fleet.database.rigs import FleetRig
-from fleet.machine.engines import engines
 from fleet.machine.places import FleetMachine, FleetPlaces, places_of
 from fleet.machine.rig_papers import HOME
 from fleet.machine.rig_register import add_rig, remove_rig
@@ -40,69 +35,20 @@ OWN = ("state", "availability", "drift", "reply", "event", "history/tick")
 @pytest.fixture
 def fleet(tmp_path: Path) -> Iterator[tuple[FleetPlaces, FleetMachine]]:
     """A fleet of which only the broker runs."""
-    places = places_of(tmp_path / "fleet")
-    machine = set_up(places, ["localhost"], True, lambda words: None)
-    broker = next(engines(places, machine))
-    log = tmp_path / "broker.log"
-    with log.open("wb") as file:
-        process = subprocess.Popen(broker.command, stdout=file, stderr=file, preexec_fn=die_with_parent)
-    try:
-        wait_for(lambda: listens(broker.port) or process.poll() is not None, "the broker")
-        assert process.poll() is None, log.read_text()
-        yield places, machine
-    finally:
-        end_process(process, PATIENCE_S)
+    with FleetBroker(tmp_path) as broker:
+        yield broker.places, broker.machine
 
 
 def papers(places: FleetPlaces, name: str, folder: str = "") -> Path:
     """Add a rig, and unpack what it takes with it."""
     out = places.folder.parent / f"{folder or name}.tar.gz"
     assert add_rig(places, name, "north", "tent", out), "a broker runs"
-    home = places.folder.parent / (folder or name)
-    with tarfile.open(out) as archive:
-        archive.extractall(home, filter="data")
+    home = unpacked(out)
     # The broker reads its list some tenths of a second after it was asked to.
     with connected(places.read().ports.broker, context(home), f"probe-{home.name}") as probe:
         own = f"greenhouse/{name}/event"
         wait_for(lambda: answer(probe, own) != "Not authorized", f"the rights of {name}")
     return home
-
-
-def context(home: Path) -> ssl.SSLContext:
-    found = ssl.create_default_context(cafile=str(home / "ca.crt"))
-    found.load_cert_chain(home / "rig.crt", home / "rig.key")
-    return found
-
-
-def fleets_context(places: FleetPlaces) -> ssl.SSLContext:
-    found = ssl.create_default_context(cafile=str(places.authority))
-    found.load_cert_chain(places.certificate("fleet"), places.key("fleet"))
-    return found
-
-
-@contextmanager
-def connected(port: int, tls: ssl.SSLContext, name: str) -> Iterator[Client]:
-    """A client at the broker. Its publications' reason codes are in `answers` of its user data."""
-    ready = threading.Event()
-    client = Client(CallbackAPIVersion.VERSION2, name, protocol=MQTTProtocolVersion.MQTTv5, userdata={})
-    client.tls_set_context(tls)
-    client.on_connect = lambda client, *_: ready.set()
-    client.on_publish = lambda client, answers, mid, code, more: answers.update({mid: str(code)})
-    client.connect("localhost", port)
-    client.loop_start()
-    try:
-        assert ready.wait(PATIENCE_S)
-        yield client
-    finally:
-        client.disconnect()
-        client.loop_stop()
-
-
-def answer(client: Client, topic: str) -> str:
-    """Publish, and return the broker's word on it."""
-    mid = client.publish(topic, b"{}", qos=1).mid
-    wait_for(lambda: mid in client.user_data_get(), f"an answer to {topic}")
-    return str(client.user_data_get()[mid])
 
 
 def test_a_rig_publishes_its_own_topics_and_those_of_no_other(

@@ -1,0 +1,188 @@
+"""A site whose broker is bridged to the fleet's over TLS: rigs, ticks and orders, over cuts and kills."""
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+from fleet_broker import FleetBroker, fleets_context, unpacked
+from fleet_store import wait_until_all_is_stored
+from sqlalchemy import Engine
+from sqlalchemy.orm import Session
+
+from bench.support.broker import PATIENCE_S, Broker, Listener, needs_mosquitto, wait_for
+from bench.support.fleet_rig import RigWithoutBoard
+from bench.support.ingest_process import IngestProcess
+from bench.support.victoria import Victoria, needs_victoria
+from fleet.database.base import open_database
+from fleet.database.rigs import FleetRig
+from fleet.machine.engine_files import MESSAGE_MAX
+from fleet.machine.site_papers import SITE_HOME
+from fleet.machine.site_register import add_to_site
+from fleet.numbers.victoria import Numbers
+from fleet.settings import load
+
+pytestmark = [needs_mosquitto, needs_victoria, pytest.mark.slow]
+pytest_plugins = ["rig_places"]
+DAY_TICKS = 1440  # and more than mosquitto keeps by itself, 1000
+NEVER_S = 3600.0  # ingest asks for nothing in a test: what comes comes by the bridge's queue alone
+REPLY_S = 2.0
+RIGS = ["tent-1", "tent-2"]
+
+
+@dataclass
+class BridgedSite:
+    """A fleet with its stores, and the site `school` with a broker of its own."""
+
+    fleet: FleetBroker
+    site: Broker
+    ingest: IngestProcess
+    numbers: Numbers
+    engine: Engine
+
+    def rig(self, name: str) -> FleetRig:
+        with Session(self.engine) as session:
+            return session.get_one(FleetRig, name)
+
+    def chief(self, topic: str) -> Listener:
+        """A client that gives orders at the fleet's broker, and hears a topic there."""
+        port, tls = self.fleet.machine.ports.broker, fleets_context(self.fleet.places)
+        return Listener(port, topic, context=tls, name="chief")
+
+    def wait_until_all_is_stored(self, *rigs: RigWithoutBoard) -> None:
+        wait_until_all_is_stored(rigs, self.numbers, self.engine, say=self.ingest.log[-3000:])
+
+
+@contextmanager
+def bridged(folder: Path, **ingest: float) -> Iterator[BridgedSite]:
+    """ingest : its settings"""
+    (folder / "broker").mkdir()
+    with FleetBroker(folder) as fleet, Victoria(folder) as victoria:
+        archive = folder / "school.tar.gz"
+        assert add_to_site(fleet.places, "school", RIGS, "north", "tent", archive) == (True, True)
+        home = unpacked(archive)
+        # Papers lie where their site's broker has them; after a cut it tries again at once.
+        bridge = (home / "bridge.conf").read_text().replace(SITE_HOME, str(home))
+        bridge = bridge.replace("\naddress ", "\nrestart_timeout 1\naddress ")
+        mqtt = yaml.safe_load(fleet.places.settings.read_text())["mqtt"]
+        database = load(fleet.places.settings).database
+        engine = open_database(database)
+        try:
+            with (
+                Broker(folder / "broker", f"allow_anonymous true\n{bridge}") as site,
+                IngestProcess(folder, mqtt, victoria.url, database.url, **ingest) as process,
+            ):
+                wait_for(lambda: "connected to the broker" in process.log, "ingest", 3 * PATIENCE_S)
+                numbers = Numbers(load(process.settings).numbers)
+                yield BridgedSite(fleet, site, process, numbers, engine)
+        finally:
+            engine.dispose()
+
+
+def ask(chief: Listener, rig: str, what: str, payload: str, **own: int) -> dict[str, object]:
+    """Give an order until there is an answer: a rig, or the bridge, may not have subscribed yet.
+
+    own : by which an answer is told from those to ingest
+    """
+    deadline = time.monotonic() + 3 * PATIENCE_S
+    while time.monotonic() < deadline:
+        chief.send(f"greenhouse/{rig}/set/{what}", payload)
+        until = time.monotonic() + REPLY_S
+        while time.monotonic() < until:
+            for answer in chief.objects(f"greenhouse/{rig}/reply"):
+                if answer.items() >= {"command": what, **own}.items():
+                    return dict(answer)
+            time.sleep(0.02)
+    raise AssertionError(f"{rig} never answered {what}")
+
+
+def test_ticks_orders_and_resending_go_over_the_bridge(tmp_path: Path) -> None:
+    with bridged(tmp_path) as all_of:
+        port = all_of.site.port
+        with RigWithoutBoard(tmp_path, "tent-2", port) as second:
+            with (
+                RigWithoutBoard(tmp_path, "tent-1", port) as first,
+                all_of.chief("greenhouse/+/reply") as chief,
+            ):
+                for _ in range(5):
+                    first.tick()
+                    second.tick()
+                all_of.wait_until_all_is_stored(first, second)
+                wait_for(lambda: all_of.rig("tent-1").is_online)
+                row = all_of.rig("tent-1")
+                assert (row.group, row.kind) == ("north", "tent")
+                assert ask(chief, "tent-1", "temperature", "26.5")["ok"] is True
+                assert first.operation.reference_c == 26.5
+                assert second.operation.reference_c is None
+                span = {"first_seq": 2, "last_seq": 4}
+                asked = ask(chief, "tent-1", "resend", json.dumps(span), **span)
+                assert (asked["ok"], asked["queued"]) == (True, 3)
+                wait_for(lambda: first.depth() == 0, "the ticks are sent again")
+                first.tick()
+                all_of.wait_until_all_is_stored(first, second)
+            wait_for(lambda: not all_of.rig("tent-1").is_online)
+            # One message that is too large for the fleet ends no bridge.
+            with Listener(port, "none") as somebody:
+                somebody.send("greenhouse/tent-2/event", b" " * (MESSAGE_MAX + 1))
+            second.tick()
+            all_of.wait_until_all_is_stored(second)
+            assert "oversize" not in all_of.fleet.log
+
+
+@pytest.mark.usefixtures("quick_reconnect")
+def test_a_site_that_is_cut_off_for_a_day_loses_nothing(tmp_path: Path) -> None:
+    with (
+        bridged(tmp_path, gap_wait_s=NEVER_S) as all_of,
+        RigWithoutBoard(tmp_path, "tent-1", all_of.site.port) as rig,
+    ):
+        begin = round(time.time()) - 60.0 * DAY_TICKS
+        rig.tick(utc=begin)
+        all_of.wait_until_all_is_stored(rig)
+        all_of.fleet.stop()
+        for number in range(1, DAY_TICKS):
+            rig.tick(utc=begin + 60.0 * number, waits=number == DAY_TICKS - 1)
+        wait_for(lambda: rig.depth() == 0, "the site's broker has all", 3 * PATIENCE_S)
+        all_of.site.stop()  # in good order: it keeps what the fleet has not got
+        all_of.site.start()
+        all_of.fleet.start()
+        all_of.wait_until_all_is_stored(rig)
+
+
+@pytest.mark.usefixtures("quick_reconnect")
+def test_what_a_killed_broker_of_a_site_had_is_asked_for(tmp_path: Path) -> None:
+    with bridged(tmp_path) as all_of, RigWithoutBoard(tmp_path, "tent-1", all_of.site.port) as rig:
+        rig.tick()
+        all_of.wait_until_all_is_stored(rig)
+        all_of.fleet.stop()
+        for _ in range(50):
+            rig.tick()
+        wait_for(lambda: rig.depth() == 0, "the site's broker has all")
+        all_of.site.kill()
+        all_of.site.start()
+        with Listener(all_of.site.port, "greenhouse/tent-1/set/resend") as asked:
+            all_of.fleet.start()
+            rig.tick()
+            all_of.wait_until_all_is_stored(rig)
+            assert asked.heard
+
+
+def test_an_order_is_not_kept_for_a_site_that_is_away(tmp_path: Path) -> None:
+    with (
+        bridged(tmp_path) as all_of,
+        Listener(all_of.site.port, "greenhouse/+/set/+") as heard,
+        all_of.chief("greenhouse/+/reply") as chief,
+        RigWithoutBoard(tmp_path, "tent-1", all_of.site.port),
+    ):
+        ask(chief, "tent-1", "status", "PRESS")
+        all_of.site.stop()
+        chief.send("greenhouse/tent-1/set/temperature", "30")
+        chief.heard.clear()
+        all_of.site.start()  # the listener's session is in its store: it hears all that comes from now on
+        ask(chief, "tent-1", "status", "PRESS")
+        heard.wait_until_subscribed()
+        wait_for(lambda: len(heard.heard) > 1, "the order after it")
+        assert {message.topic for message in heard.heard} == {"greenhouse/tent-1/set/status"}
