@@ -102,7 +102,7 @@ def take_rights(places: FleetPlaces, names: Sequence[str]) -> str:
         path_of(places, name).unlink(missing_ok=True)
     write_rights(places)
     reload_rights(places.read())
-    return "; ".join(filter(None, (_forget(settings, name) for name in names)))
+    return _forget(settings, names)
 
 
 def _has_row(engine: Engine, name: str) -> bool:
@@ -130,12 +130,13 @@ def erase_rig(engine: Engine, numbers: Numbers, name: str) -> None:
         ) from None
 
 
-def _forget(settings: FleetSettings, name: str) -> str:
-    """Take the rig's retained messages off the broker, by the fleet's own rights."""
-    try:
-        remove_retained(Settings(mqtt=replace(settings.mqtt, rig=name)))
-    except RequestError as error:
-        return f"what the broker has kept of {name} stays there: {error}"
+def _forget(settings: FleetSettings, names: Sequence[str]) -> str:
+    """Take retained messages of rigs off the broker, by the fleet's own rights, as long as it answers."""
+    for number, name in enumerate(names):
+        try:
+            remove_retained(Settings(mqtt=replace(settings.mqtt, rig=name)))
+        except RequestError as error:
+            return f"what the broker has kept of {', '.join(names[number:])} stays there: {error}"
     return ""
 
 

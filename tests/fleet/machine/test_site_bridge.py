@@ -57,6 +57,12 @@ class BridgedSite:
         wait_until_all_is_stored(rigs, self.numbers, self.engine, say=self.ingest.log[-3000:])
 
 
+def bridge_of(home: Path) -> str:
+    """Return settings of a site's broker, its papers where they lie; after a cut it tries again at once."""
+    bridge = (home / "bridge.conf").read_text().replace(SITE_HOME, str(home))
+    return "allow_anonymous true\n" + bridge.replace("\naddress ", "\nrestart_timeout 1\naddress ")
+
+
 @contextmanager
 def bridged(folder: Path, **ingest: float) -> Iterator[BridgedSite]:
     """ingest : its settings"""
@@ -65,15 +71,12 @@ def bridged(folder: Path, **ingest: float) -> Iterator[BridgedSite]:
         archive = folder / "school.tar.gz"
         assert add_to_site(fleet.places, "school", RIGS, "north", "tent", archive) == (True, True)
         home = unpacked(archive)
-        # Papers lie where their site's broker has them; after a cut it tries again at once.
-        bridge = (home / "bridge.conf").read_text().replace(SITE_HOME, str(home))
-        bridge = bridge.replace("\naddress ", "\nrestart_timeout 1\naddress ")
         mqtt = yaml.safe_load(fleet.places.settings.read_text())["mqtt"]
         database = load(fleet.places.settings).database
         engine = open_database(database)
         try:
             with (
-                Broker(folder / "broker", f"allow_anonymous true\n{bridge}") as site,
+                Broker(folder / "broker", bridge_of(home)) as site,
                 IngestProcess(folder, mqtt, victoria.url, database.url, **ingest) as process,
             ):
                 wait_for(lambda: "connected to the broker" in process.log, "ingest", 3 * PATIENCE_S)
@@ -131,6 +134,22 @@ def test_ticks_orders_and_resending_go_over_the_bridge(tmp_path: Path) -> None:
             second.tick()
             all_of.wait_until_all_is_stored(second)
             assert "oversize" not in all_of.fleet.log
+
+
+def test_a_rig_comes_to_a_site_later(tmp_path: Path) -> None:
+    with bridged(tmp_path) as all_of:
+        archive, home = tmp_path / "later.tar.gz", tmp_path / "school"
+        assert add_to_site(all_of.fleet.places, "school", ["tent-3"], "", "", archive) == (False, True)
+        (home / "bridge.conf").write_text((unpacked(archive) / "bridge.conf").read_text())
+        all_of.site.stop()
+        with (
+            Broker(tmp_path / "broker", bridge_of(home)) as site,
+            RigWithoutBoard(tmp_path, "tent-3", site.port) as third,
+            RigWithoutBoard(tmp_path, "tent-1", site.port) as first,
+        ):
+            third.tick()
+            first.tick()
+            all_of.wait_until_all_is_stored(third, first)
 
 
 @pytest.mark.usefixtures("quick_reconnect")
