@@ -56,14 +56,13 @@ Each rig has the site's broker as its mqtt.host, its name above as mqtt.rig, and
 itself (greenhouse). If the fleet shall roll out models to a rig, copy ca.crt to {rig_home}/ca.crt there,
 and put the two keys of bundle.yaml into the section bundle of its edge.yaml.
 
-To see whether the bridge is connected (1) or not (0), ask the site's broker:
+To see whether the bridge is connected (1) or not (0), ask the site's broker (package mosquitto-clients):
 
     mosquitto_sub -t '$SYS/broker/connection/{common_name}-out/state' -C 1
 
-To end it, take the bridge away and then what waits for it, or that grows for ever:
+To end it:
 
     rm {file} && systemctl restart mosquitto
-    mosquitto_sub -i greenhouse-fleet-{name}-out -t none -E
 """
 NEW_KEY = "site.key is a secret: who has it can speak as each of these rigs, and as no other one."
 OLD_KEY = "The certificate and its key stay those that the site has: they are not in this archive."
