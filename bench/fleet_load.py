@@ -303,6 +303,8 @@ def load_table(measured: FleetLoad) -> Iterator[str]:
             numbers = f"{measured.cpu(name, part):.3f} | {measured.memory(name, part):.0f}"
             half, most = measured.lag(name, part, 50.0), measured.lag(name, part)
             yield f"| {part.rigs} | {name} | {numbers} | {half:.3f} | {most:.3f} |"
+        cores, memory_mb = (sum(of(name, part) for name in ENGINES) for of in (measured.cpu, measured.memory))
+        yield f"| {part.rigs} | together | {cores:.2f} | {memory_mb:.0f} | | |"
     yield ""
     yield from (f"lag of {name}: {text}" for name, text in LAGS.items())
 

@@ -15,15 +15,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     add = actions.add_parser("add", help="make certificate, rights and the archive that a rig takes with it")
     add.add_argument("name", metavar="NAME", help="second level of the rig's topics")
-    add.add_argument("--group", default="", help="whose people may see it; usual: only who may see all")
-    add.add_argument("--kind", default="", help="boxes that are built alike share one")
-    add.add_argument("--out", type=Path, help="archive to write; usual: NAME.tar.gz")
+    add_membership(add)
     listing = actions.add_parser("list", help="list rigs that may come in")
     remove = actions.add_parser("remove", help="take a rig's rights away; what it has sent stays")
     remove.add_argument("name", metavar="NAME")
     remove.add_argument("--erase", action="store_true", help="delete its numbers and rows too")
     for each in (add, listing, remove):
         each.add_argument("--folder", type=Path, default=FOLDER, help="of the fleet; usual: %(default)s")
+
+
+def add_membership(add: argparse.ArgumentParser) -> None:
+    """Add what rigs that come in have in common, and where their archive goes."""
+    add.add_argument("--group", default="", help="whose people may see them; usual: only who may see all")
+    add.add_argument("--kind", default="", help="boxes that are built alike share one")
+    add.add_argument("--out", type=Path, help="archive to write; usual: NAME.tar.gz")
 
 
 def run(arguments: argparse.Namespace) -> int:

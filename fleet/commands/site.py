@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from fleet.commands.rig import NO_BROKER
+from fleet.commands.rig import NO_BROKER, add_membership
 from fleet.machine.places import FOLDER, places_of
 from fleet.machine.site_register import add_to_site, read_sites, remove_site
 
@@ -14,9 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = actions.add_parser("add", help="let rigs come in by a broker of their own, or add rigs to a site")
     add.add_argument("name", metavar="NAME", help="of the site")
     add.add_argument("--rigs", nargs="+", required=True, metavar="RIG", help="second level of their topics")
-    add.add_argument("--group", default="", help="whose people may see them; usual: only who may see all")
-    add.add_argument("--kind", default="", help="boxes that are built alike share one")
-    add.add_argument("--out", type=Path, help="archive to write; usual: NAME.tar.gz")
+    add_membership(add)
     listing = actions.add_parser("list", help="list sites and their rigs")
     remove = actions.add_parser("remove", help="take the rights of a site and of all its rigs away")
     remove.add_argument("name", metavar="NAME")

@@ -58,13 +58,14 @@ def seconds_until(at: tuple[int, int], now: datetime) -> float:
 
 def _work(settings: FleetSettings, workers: int, dask: str | None) -> None:
     engine = open_database(settings.database)
-    lease = FleetLease(engine, WORK)
-    holder = lease.take()
-    if holder:
-        raise RequestError(f"{holder} does {WORK} now: call it again when that has ended")
-    with lease.keep():
-        _do(settings, engine, workers, dask)
-    engine.dispose()
+    try:
+        lease = FleetLease(engine, WORK)
+        if holder := lease.take():
+            raise RequestError(f"{holder} does {WORK} now: call it again when that has ended")
+        with lease.keep():
+            _do(settings, engine, workers, dask)
+    finally:
+        engine.dispose()  # the service calls this each night
 
 
 def _do(settings: FleetSettings, engine: Engine, workers: int, dask: str | None) -> None:

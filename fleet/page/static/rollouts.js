@@ -5,6 +5,7 @@ import { call } from "/api.js";
 import { Do } from "/parts.js";
 import { usePoll } from "./poll.js";
 
+// With the date: a rollout may be weeks old, and the weekday of `clock` would not tell which week.
 const day = (utc) => new Date(1000 * utc).toLocaleString([], { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
 const span = (row) => (row.ended_utc ? `${day(row.began_utc)} to ${day(row.ended_utc)}` : `since ${day(row.began_utc)}`);
 const share = (value) => `${value > 0 ? "+" : ""}${(100 * value).toFixed(1)}\u00a0%`;
