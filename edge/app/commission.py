@@ -6,7 +6,7 @@ good enough is refused, with the reason.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,10 +22,10 @@ from edge.core.errors import DataError, RequestError
 from edge.diagnosis.adopted_twin import round_value
 from edge.diagnosis.baselines import bare
 from edge.diagnosis.diagnose import Diagnosis, diagnose
-from edge.diagnosis.loose_prior import loosen
 from edge.diagnosis.prepare import prepare
+from edge.diagnosis.prior_fit import fit_about
 from edge.diagnosis.progress import Progress
-from edge.diagnosis.runs import FROM_S, diagnosis_runs
+from edge.diagnosis.runs import FROM_S, DiagnosisRuns, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
 from edge.twin.draws import CORRELATION
@@ -122,19 +122,21 @@ def learn(
     limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * moved_k)
 
     def search(begin: TwinFile) -> tuple[Diagnosis, TwinFile, float]:
+        if PRIOR in begin.provenance:
+            begin = _about_prior(begin, parts[0], runs) or bare(begin)
         found = diagnose(begin, runs, progress, COMMISSION, jobs)
         return found, *chosen_twin(found, limit_k)
 
-    by_prior = PRIOR in file.provenance
-    found, chosen, error_k = search(
-        loosen(prepare(with_rest_offset(file, parts[0]), runs)) if by_prior else file
-    )
+    begun = file
+    found, chosen, error_k = search(begun)
     if any((*implausible(chosen), *odd(chosen))) and (usual := with_usual_fan(file)) is not None:
-        found, chosen, error_k = search(usual)
-    if by_prior and not error_k <= usual_miss_k(file):  # the box may be unlike its kind
+        begun = usual
+        found, chosen, error_k = search(begun)
+    if PRIOR in found.inputs.file.provenance and not error_k <= usual_miss_k(file):  # maybe unlike its kind
         alone = search(bare(file))
-        if not error_k <= alone[-1]:
+        if not error_k < FAR_BETTER * alone[-1]:
             found, chosen, error_k = alone
+    chosen = _fitted_to_all(chosen, begun, dict(zip(names, parts, strict=True)))
     step_k = max(step_of(run.columns["temp_air_c"]), start.sensor.get("quantisation_k") or 0.0)
     twin = replace(chosen, sample_s=control.step_s, sensor={**chosen.sensor, "quantisation_k": step_k})
     room_c = float(np.nanmean(found.inputs.runs.ambient))
@@ -163,6 +165,26 @@ def learn(
     )
 
 
+def _about_prior(start: TwinFile, begin: RecordedRun, runs: DiagnosisRuns) -> TwinFile | None:
+    """Return the start that a fleet gave, fitted; None for a box that is unlike its kind.
+
+    begin : the tests, or their first part
+    """
+    found = fit_about(prepare(with_rest_offset(start, begin), runs))
+    return found and replace(found, provenance={**found.provenance, PRIOR: start.provenance[PRIOR]})
+
+
+def _fitted_to_all(chosen: TwinFile, begun: TwinFile, parts: Mapping[str, RecordedRun]) -> TwinFile:
+    """Return a twin about a fleet's start fitted to what judged it too; any other as it is."""
+    if PRIOR not in chosen.provenance:
+        return chosen
+    every = list(parts.items())
+    fitted = _about_prior(begun, every[0][1], diagnosis_runs(every, [], begun))
+    return (
+        chosen if fitted is None else replace(fitted, provenance={**chosen.provenance, **fitted.provenance})
+    )
+
+
 def usual_miss_k(file: TwinFile) -> float:
     """Return what a twin may miss by and be of its kind; 0 where the file has no fleet's prior [K]."""
     return UNLIKE * max(provenance_numbers(file, PRIOR, USUAL_MISS), default=0.0)
@@ -171,16 +193,14 @@ def usual_miss_k(file: TwinFile) -> float:
 def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFile, float]:
     """Return the twin that was found, or a simpler one, and the error of its free run over the held-out rows.
 
-    The start that a fleet gave, fitted, is taken as long as it misses by no more than twins of its kind: an
+    What was fitted about a fleet's start is taken as long as it misses by no more than twins of its kind: an
     hour tells nothing against what it adds. A baseline is taken if it halves the error, or is clearly better
     where the other is refused. It may lack the lag of heater or sensor, and a plan without that swings, which
     a free run does not show.
     """
     given, before_k = found.inputs.file, found.test_k.get("before", math.inf)
     if before_k <= usual_miss_k(given):
-        fitted = found.as_given
-        origin = {**fitted.provenance, PRIOR: given.provenance[PRIOR]}
-        return _instead(found, replace(fitted, provenance=origin), before_k), before_k
+        return _instead(found, given, before_k), before_k
     error_k, twins = found.test_k.get("after", math.nan), found.simple_twins
     simple = {name: error for name, error in found.test_k.items() if name in twins}
     best = min(simple, key=simple.__getitem__, default="")

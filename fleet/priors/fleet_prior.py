@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.diagnosis.baselines import bare
@@ -19,6 +20,7 @@ from edge.twin.value import Value
 from fleet.priors.population import LEAST_SD, Population, ValuePrior, fit_population
 from fleet.priors.shared_structure import LEAST_SHARE, in_structure
 
+Floats = NDArray[np.float64]
 LIKELY = 0.5  # an effect that no more boxes of the kind have is not begun with: an hour hardly tells it
 KINDS_WORTH = 2.0  # boxes: what the whole fleet tells of an effect counts as so many of the kind
 SAME_ANSWER = {"wall_mass": "soil_mass"}  # told as the one that keeps the loss as a value of its own
@@ -29,7 +31,9 @@ OF_BOX = (
 LAGS = ("heater_lag", "sensor_lag", "imperfect_mixing")  # answer alike, and a plan without any swings
 LAG = "a lag"  # one of them, in shares
 FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
-MISSED = tuple(("after", part, "rmse_k") for part in ("test", "train"))  # in a told twin's provenance
+PARTS = ("test", "train")  # of a box's rows, in a told twin's provenance
+# A twin's own word for what it misses by is believed down to this share of its kind's median: a rig may lie.
+BEST_SHARE, LEAST_MISS_K = 0.5, 0.01
 KEPT_BOXES = 4096  # in memory
 
 
@@ -114,19 +118,42 @@ def fit_prior(sheets: Sequence[BoxSheet]) -> FleetPrior:
         raise DataError("no box has told its twin yet")
     shares = _shares(sheets)
     found: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
-    for sheet in sheets:
+    for sheet in _speakers(sheets, shares):
         for name, told in _shared_values(sheet, _likely(shares[sheet.kind])).items():
             found.setdefault(name, []).append((told.mean, told.sd, sheet.kind))
     values = {name: fit_population(*zip(*own, strict=True)) for name, own in found.items()}
     return FleetPrior(shares, values, _misses_k(sheets))
 
 
+def _speakers(sheets: Sequence[BoxSheet], shares: dict[str, dict[str, float]]) -> list[BoxSheet]:
+    """Return the boxes whose twins have all effects of their kind; of a kind without such a box all.
+
+    A twin without one has put what it does into other values, which then are not the kind's.
+    """
+    chosen = []
+    for kind in sorted({sheet.kind for sheet in sheets}):
+        mine, wanted = [sheet for sheet in sheets if sheet.kind == kind], {*_likely(shares[kind])}
+        alike = [sheet for sheet in mine if _common(wanted) <= _common(_effects(sheet.twin))]
+        chosen += alike or mine
+    return chosen
+
+
+def _common(names: set[str]) -> set[str]:
+    """Return effects, lags as one: they answer alike."""
+    return {LAG if name in LAGS else name for name in names}
+
+
 def _misses_k(sheets: Sequence[BoxSheet]) -> dict[str, float]:
     found: dict[str, list[float]] = {}
     for sheet in sheets:
-        told = [error for place in MISSED for error in provenance_numbers(sheet.twin, *place)]
-        found.setdefault(sheet.kind, []).extend(told[:1])
+        found.setdefault(sheet.kind, []).extend(_missed_k(sheet, PARTS))
     return {kind: float(np.median(own)) for kind, own in found.items() if own}
+
+
+def _missed_k(sheet: BoxSheet, parts: Sequence[str]) -> list[float]:
+    """Return what its twin missed by over the first of these parts that it tells of, if any [K]."""
+    told = [error for part in parts for error in provenance_numbers(sheet.twin, "after", part, "rmse_k")]
+    return told[:1]
 
 
 # Seconds a box; priors of two days, or with one box left out, share most of them.
@@ -154,17 +181,33 @@ def _likely(shares: dict[str, float]) -> tuple[str, ...]:
 
 
 def _shares(sheets: Sequence[BoxSheet]) -> dict[str, dict[str, float]]:
-    """Return which share of each kind has an effect, drawn towards the whole fleet's."""
-    have = [_effects(sheet.twin) for sheet in sheets]
-    whole = {name: float(np.mean([name in own for own in have])) for name in (*OF_BOX, LAG)}
-    shares = {"": whole}
-    for kind in {sheet.kind for sheet in sheets}:
-        mine = [own for own, sheet in zip(have, sheets, strict=True) if sheet.kind == kind]
-        shares[kind] = {
-            name: (sum(name in own for own in mine) + KINDS_WORTH * share) / (len(mine) + KINDS_WORTH)
-            for name, share in whole.items()
-        }
+    """Return which share of each kind has an effect, drawn towards the whole fleet's.
+
+    A box counts by the inverse square of what its twin misses by over the rows that it was fitted to: one
+    that misses twice as much as others of its kind lacks something, and does not know what.
+    """
+    names, every = (*OF_BOX, LAG), [_effects(sheet.twin) for sheet in sheets]
+    kinds = np.array([sheet.kind for sheet in sheets])
+    counts = np.ones(len(sheets))
+    for kind in {*kinds}:
+        counts[kinds == kind] = _counts([sheet for sheet in sheets if sheet.kind == kind])
+    have = counts[:, None] * np.array([[name in own for name in names] for own in every])
+    whole = have.mean(axis=0)
+    shares = {"": dict(zip(names, whole.tolist(), strict=True))}
+    for kind in {*kinds}:
+        mine = have[kinds == kind]
+        drawn = (mine.sum(axis=0) + KINDS_WORTH * whole) / (len(mine) + KINDS_WORTH)
+        shares[str(kind)] = dict(zip(names, drawn.tolist(), strict=True))
     return shares
+
+
+def _counts(sheets: Sequence[BoxSheet]) -> Floats:
+    """Return what each box of a kind counts, 1 in the mean, [n]."""
+    missed = [_missed_k(sheet, PARTS[::-1]) for sheet in sheets]
+    usual_k = float(np.median([own[0] for own in missed if own] or [1.0]))
+    known = np.array([own[0] if own else usual_k for own in missed])
+    counts = np.maximum(known, BEST_SHARE * max(usual_k, LEAST_MISS_K)) ** -2.0
+    return np.asarray(counts / counts.mean())
 
 
 def _effects(twin: TwinFile) -> set[str]:

@@ -313,11 +313,8 @@ class FoundTwins:
 
     @property
     def inputs(self) -> object:
-        return SimpleNamespace(file=replace(self.adopted, provenance=self.provenance))
-
-    @property
-    def as_given(self) -> object:
-        return replace(self.adopted, effects={"wall_loss": {"UA": Value(2.0)}})
+        effects = {"wall_loss": {"UA": Value(2.0)}}
+        return SimpleNamespace(file=replace(self.adopted, effects=effects, provenance=self.provenance))
 
     @property
     def simple_twins(self) -> dict[str, object]:

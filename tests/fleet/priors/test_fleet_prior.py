@@ -63,6 +63,27 @@ def test_a_kind_whose_boxes_lag_somewhere_lags() -> None:
     assert fit_prior(told).structure("tent") == ("heater_lag",)
 
 
+def told(rig: str, miss_k: float, loss_w_k: float = 2.4, *, has_soil: bool = False) -> BoxSheet:
+    effects = {"wall_loss": {"UA": Value(loss_w_k)}, "extra_capacity": {"kC": Value(4.0)}}
+    if has_soil:
+        effects["soil_mass"] = {"C_s": Value(3240.0), "G_s": Value(3.6)}
+    twin = replace(TwinFile(), effects=effects, fan_role="none")
+    return BoxSheet(rig, "tent", replace(twin, provenance={"after": {"train": {"rmse_k": miss_k}}}))
+
+
+def test_twins_that_miss_much_hardly_count() -> None:
+    found = fit_prior([told("a", 0.3, has_soil=True), told("b", 0.6, 3.6), told("c", 1.2, 3.6)])
+    assert found.structure("tent") == ("soil_mass",)
+    # What they lack is in their losses, which are not the kind's.
+    start = found.start(bare(replace(TwinFile(), fan_role="none")), "tent")
+    assert start.effects["wall_loss"]["UA"].value == pytest.approx(2.4, rel=0.05)
+
+
+def test_a_box_that_claims_to_miss_nothing_outvotes_no_five() -> None:
+    others = [told(str(number), 0.3) for number in range(5)]
+    assert fit_prior([*others, told("liar", 1e-9, has_soil=True)]).structure("tent") == ()
+
+
 def test_a_new_kind_is_told_less(prior: FleetPrior) -> None:
     box = bare(replace(TwinFile(), fan_role="none"))
     known, new = (prior.start(box, kind).effects["wall_loss"]["UA"] for kind in ("tent", "never seen"))
