@@ -33,7 +33,8 @@ LAG = "a lag"  # one of them, in shares
 FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 PARTS = ("test", "train")  # of a box's rows, in a told twin's provenance
 # A twin's own word for what it misses by is believed down to this share of its kind's median: a rig may lie.
-BEST_SHARE, LEAST_MISS_K = 0.5, 0.01
+BEST_SHARE, LEAST_MISS_K, MOST_MISS_K = 0.5, 0.01, 1e3
+FEW = 3  # boxes of a kind, of which one that misses little may know more than the others
 KEPT_BOXES = 4096  # in memory
 
 
@@ -204,9 +205,12 @@ def _shares(sheets: Sequence[BoxSheet]) -> dict[str, dict[str, float]]:
 def _counts(sheets: Sequence[BoxSheet]) -> Floats:
     """Return what each box of a kind counts, 1 in the mean, [n]."""
     missed = [_missed_k(sheet, PARTS[::-1]) for sheet in sheets]
-    usual_k = float(np.median([own[0] for own in missed if own] or [1.0]))
-    known = np.array([own[0] if own else usual_k for own in missed])
-    counts = np.maximum(known, BEST_SHARE * max(usual_k, LEAST_MISS_K)) ** -2.0
+    usual_k = min(float(np.median([own[0] for own in missed if own] or [1.0])), MOST_MISS_K)
+    known = np.array([min(own[0], MOST_MISS_K) if own else usual_k for own in missed])
+    least_k = BEST_SHARE * max(usual_k, LEAST_MISS_K)
+    counts = np.square(least_k / np.maximum(known, least_k))
+    if len(sheets) > FEW:  # one alone is no majority
+        counts = np.minimum(counts, counts.sum() - counts)
     return np.asarray(counts / counts.mean())
 
 

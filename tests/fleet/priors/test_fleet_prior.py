@@ -79,9 +79,15 @@ def test_twins_that_miss_much_hardly_count() -> None:
     assert start.effects["wall_loss"]["UA"].value == pytest.approx(2.4, rel=0.05)
 
 
-def test_a_box_that_claims_to_miss_nothing_outvotes_no_five() -> None:
-    others = [told(str(number), 0.3) for number in range(5)]
+def test_a_box_that_claims_to_miss_nothing_outvotes_no_three() -> None:
+    others = [told(str(number), 0.3) for number in range(3)]
     assert fit_prior([*others, told("liar", 1e-9, has_soil=True)]).structure("tent") == ()
+
+
+@pytest.mark.parametrize("miss_k", [1.7e308, -3.0])
+def test_no_word_of_a_rig_breaks_the_prior_of_others(miss_k: float) -> None:
+    found = fit_prior([told("a", 0.3), told("liar", miss_k)])
+    assert all(np.isfinite([*shares.values()]).all() for shares in found.shares.values())
 
 
 def test_a_new_kind_is_told_less(prior: FleetPrior) -> None:
