@@ -6,7 +6,7 @@ good enough is refused, with the reason.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -96,12 +96,24 @@ class Commissioned:
 def learn(
     run: RecordedRun, start: TwinFile, control: ControlSettings, progress: Progress, jobs: int = 1
 ) -> Commissioned:
-    """Fit the twin to the tests and judge it.
+    """Fit the twin to the tests and judge it; a box that is unlike its kind as if it had no fleet.
 
-    start : the box's description, values to be fitted in it
+    start : the box's description, values to be fitted in it; or what a fleet made of that
     control : its step, and the room that is assumed without a sensor
     Errors : RequestError for a box that did not answer, DataError for a run that nothing can be fitted to
     """
+    found = _learn(run, start, control, progress, jobs)
+    error_k = math.inf if found is None else found.expectation.error_k
+    if found is not None and (PRIOR not in start.provenance or error_k <= usual_miss_k(start)):
+        return found
+    alone = learn(run, bare(start), control, progress, jobs)
+    return alone if found is None or not error_k < FAR_BETTER * alone.expectation.error_k else found
+
+
+def _learn(
+    run: RecordedRun, start: TwinFile, control: ControlSettings, progress: Progress, jobs: int
+) -> Commissioned | None:
+    """As `learn`, with what the start knows; None where the tests are of a box that its prior is not of."""
     if (moved_k := _moved_k(run)) < SEEN_MIN_K:
         minutes = len(run) * STEP_S / 60.0
         longer = 30.0 * math.ceil(minutes * SEEN_MIN_K / max(moved_k, 1e-9) / 30.0)
@@ -122,21 +134,20 @@ def learn(
     limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * moved_k)
 
     def search(begin: TwinFile) -> tuple[Diagnosis, TwinFile, float]:
-        if PRIOR in begin.provenance:
-            begin = _about_prior(begin, parts[0], runs) or bare(begin)
         found = diagnose(begin, runs, progress, COMMISSION, jobs)
         return found, *chosen_twin(found, limit_k)
 
-    begun = file
-    found, chosen, error_k = search(begun)
+    begun, about = file, _about_prior(file, parts[0], runs)
+    if about is None:
+        return None
+    found, chosen, error_k = search(about)
     if any((*implausible(chosen), *odd(chosen))) and (usual := with_usual_fan(file)) is not None:
         begun = usual
-        found, chosen, error_k = search(begun)
-    if PRIOR in found.inputs.file.provenance and not error_k <= usual_miss_k(file):  # maybe unlike its kind
-        alone = search(bare(file))
-        if not error_k < FAR_BETTER * alone[-1]:
-            found, chosen, error_k = alone
-    chosen = _fitted_to_all(chosen, begun, dict(zip(names, parts, strict=True)))
+        found, chosen, error_k = search(_about_prior(usual, parts[0], runs) or about)
+    if PRIOR in chosen.provenance:  # it is of its kind: what judged it may be fitted too
+        every = diagnosis_runs(list(zip(names, parts, strict=True)), [], file)
+        again = _about_prior(begun, parts[0], every) or chosen
+        chosen = replace(again, provenance={**chosen.provenance, **again.provenance})
     step_k = max(step_of(run.columns["temp_air_c"]), start.sensor.get("quantisation_k") or 0.0)
     twin = replace(chosen, sample_s=control.step_s, sensor={**chosen.sensor, "quantisation_k": step_k})
     room_c = float(np.nanmean(found.inputs.runs.ambient))
@@ -166,23 +177,14 @@ def learn(
 
 
 def _about_prior(start: TwinFile, begin: RecordedRun, runs: DiagnosisRuns) -> TwinFile | None:
-    """Return the start that a fleet gave, fitted; None for a box that is unlike its kind.
+    """Return a start that a fleet gave, fitted; None for a box that is unlike its kind; another as it is.
 
     begin : the tests, or their first part
     """
+    if PRIOR not in start.provenance:
+        return start
     found = fit_about(prepare(with_rest_offset(start, begin), runs))
     return found and replace(found, provenance={**found.provenance, PRIOR: start.provenance[PRIOR]})
-
-
-def _fitted_to_all(chosen: TwinFile, begun: TwinFile, parts: Mapping[str, RecordedRun]) -> TwinFile:
-    """Return a twin about a fleet's start fitted to what judged it too; any other as it is."""
-    if PRIOR not in chosen.provenance:
-        return chosen
-    every = list(parts.items())
-    fitted = _about_prior(begun, every[0][1], diagnosis_runs(every, [], begun))
-    return (
-        chosen if fitted is None else replace(fitted, provenance={**chosen.provenance, **fitted.provenance})
-    )
 
 
 def usual_miss_k(file: TwinFile) -> float:

@@ -20,7 +20,7 @@ from edge.formats.run_file import read_run
 from edge.models.arx_file import read_arx
 from edge.state.store import STANDING, restore
 from edge.twin.new_file import BoxDescription, text
-from edge.twin.twin_file import read_twin_file
+from edge.twin.twin_file import TwinFile, read_twin_file
 from edge.twin.value import Value
 
 pytestmark = pytest.mark.slow
@@ -347,3 +347,20 @@ def test_the_start_of_a_fleet_is_kept_while_it_misses_no_more_than_its_kind(befo
 def test_a_model_is_better_if_it_is_clearly_so(arx_k, better):
     found = FoundTwins({"before": 0.1, "after": 0.5, "heater lag": 0.45, "ARX 2": arx_k})
     assert commission.better_model(found, 0.5) == better
+
+
+@pytest.mark.parametrize(
+    ("by_prior_k", "alone_k", "is_alone"),
+    [(0.59, 0.1, False), (0.61, 0.1, True), (0.61, 1.3, False), (None, 9.0, True)],
+)
+def test_a_box_that_is_unlike_its_kind_is_learnt_as_if_it_had_no_fleet(
+    by_prior_k: float | None, alone_k: float, is_alone: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def learnt(run: object, start: TwinFile, *more: object) -> object:
+        is_bare = "prior" not in start.provenance
+        error_k = alone_k if is_bare else by_prior_k
+        return error_k and SimpleNamespace(is_alone=is_bare, expectation=SimpleNamespace(error_k=error_k))
+
+    monkeypatch.setattr(commission, "_learn", learnt)
+    start = replace(TwinFile(), provenance={"prior": {"kind": "tent", "misses_k": 0.3}})
+    assert commission.learn(None, start, None, None).is_alone == is_alone

@@ -1,0 +1,66 @@
+"""`edge.app.commission.learn` from the start that a fleet gave: a box of its kind, and one that is not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.support.simulated_runs import silent
+from edge.app.commission import Commissioned, learn
+from edge.app.step_test_record import STEP_S
+from edge.config.settings import ControlSettings
+from edge.formats.run_file import RecordedRun
+from edge.twin.model import BoxTwin
+from edge.twin.provenance import PRIOR
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+from edge.twin.warm_start import at_rest
+
+pytestmark = pytest.mark.slow
+ROOM_C, OFFSET_K = 20.0, 0.4
+
+
+def an_hour(loss_w_k: float) -> RecordedRun:
+    """Return an hour of a box whose sensor reads OFFSET_K more than the room's."""
+    effects = {"wall_loss": {"UA": loss_w_k}, "extra_capacity": {"kC": 4.0}, "heater_lag": {"tau_h": 120.0}}
+    box = BoxTwin(effects=effects, step_s=STEP_S)
+    duty = np.repeat([0.0, 1.0, 0.0, 0.6, 1.0, 0.3], 60)
+    room = np.full(len(duty), ROOM_C)
+    start = at_rest(box, room[:1], room[:1])
+    air = np.concatenate([room[:1], box.rollout(start, duty[None], 0.0 * duty[None], room[None])[0]])[:-1]
+    noise = 0.03 * np.random.default_rng(1).standard_normal((2, len(duty)))
+    columns = {
+        "time_s": STEP_S * np.arange(len(duty)),
+        "temp_air_c": air + OFFSET_K + noise[0],
+        "temp_ambient_c": room + noise[1],
+        "heater_duty": duty,
+        "fan_on": 0.0 * duty,
+    }
+    return RecordedRun(columns, {"start_utc": "2026-07-01T08:00:00Z"}, Path("tests.csv"))
+
+
+def learnt(loss_w_k: float) -> Commissioned:
+    usual = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 4.4}, "heater_lag": {"tau_h": 100.0}}
+    uncertain = {
+        name: {key: Value(value, rel_sd=0.1) for key, value in own.items()} for name, own in usual.items()
+    }
+    prior = {PRIOR: {"kind": "tent", "misses_k": 0.2}}
+    start = TwinFile(effects=uncertain, fan_role="none", provenance=prior)
+    return learn(an_hour(loss_w_k), start, ControlSettings(), silent)
+
+
+def test_a_box_of_the_kind_keeps_its_effects_and_gets_its_own_values() -> None:
+    found = learnt(4.6)
+    assert found.twin.provenance[PRIOR] == {"kind": "tent", "misses_k": 0.2}
+    assert {*found.twin.effects} == {"wall_loss", "extra_capacity", "heater_lag", "sensor_bias"}
+    assert found.twin.effects["wall_loss"]["UA"].value == pytest.approx(4.6, rel=0.02)
+    assert found.twin.effects["sensor_bias"]["bias"].value == pytest.approx(OFFSET_K, abs=0.05)
+    assert not found.refusals
+    assert not found.twin.to_fit()
+    assert all(value.rel_sd is None for value in found.twin.values().values())
+
+
+def test_a_box_that_is_unlike_its_kind_has_no_prior_in_its_twin() -> None:
+    found = learnt(1.2)
+    assert PRIOR not in found.twin.provenance
+    assert not found.twin.to_fit()
