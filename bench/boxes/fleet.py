@@ -36,7 +36,7 @@ from edge.core.sweep import add_arguments, sweep
 from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.history_runs import history_runs
 from edge.formats.reader import read_json
-from edge.formats.run_file import RecordedRun, cut, read_run, resample, write_run
+from edge.formats.run_file import RecordedRun, absence_facts, cut, read_run, resample, write_run
 from edge.storage.runs import export_stretches
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from firmware_protocol.virtual_board.plant import Plant
@@ -90,7 +90,7 @@ def record_tests(out: Path, box: FleetBox) -> None:
         run = record(settings, board, start.fan_role != "none", 60.0 * MUCH_H, open_port=board.open)
     if len(run) < 3600.0 * MUCH_H / STEP_S:
         raise GreenhouseError(f"{box.name}: the tests were ended after {len(run)} rows")
-    write_run(run, path)
+    write_run(absence_facts(run), path)
 
 
 def record_day(out: Path, box: FleetBox) -> None:
@@ -114,7 +114,7 @@ def record_day(out: Path, box: FleetBox) -> None:
         with lab:
             lab.run(minutes=DAY_MIN)
         *_, day = export_stretches(settings.history.path)
-    write_run(day, path)
+    write_run(absence_facts(day), path)
 
 
 def first_hours(run: RecordedRun, hours: float) -> RecordedRun:
