@@ -141,9 +141,10 @@ def _learn(
     if about is None:
         return None
     found, chosen, error_k = search(about)
-    if any((*implausible(chosen), *odd(chosen))) and (usual := with_usual_fan(file)) is not None:
+    usual = with_usual_fan(file) if any((*implausible(chosen), *odd(chosen))) else None
+    if usual is not None and (about := _about_prior(usual, parts[0], runs)) is not None:
         begun = usual
-        found, chosen, error_k = search(_about_prior(usual, parts[0], runs) or about)
+        found, chosen, error_k = search(about)
     if PRIOR in chosen.provenance:  # it is of its kind: what judged it may be fitted too
         every = diagnosis_runs(list(zip(names, parts, strict=True)), [], file)
         again = _about_prior(begun, parts[0], every) or chosen

@@ -23,6 +23,7 @@ from edge.diagnosis.trial import FittedTwin, Trial
 from edge.diagnosis.unknowns import place_unknowns, unknowns
 from edge.twin.twin_file import TwinFile
 
+# Found on development boxes (docs/measured/fleet.md).
 HEATS_K = (0.0, 0.3, 1.0)  # by which an unknown heat may warm the box in the end
 UNLIKE_K = 3.0  # a run that so much heat tells best is of another box
 HEAT_TAU_S = 7200.0  # as the sun moves
