@@ -72,6 +72,8 @@ def bars_picture(results: Results, names: Sequence[str], references: Sequence[st
     labels = ["\n".join(wrap(row, LABEL_LETTERS)) for row in shown]
     axes.set_xticks(range(len(present)), labels, rotation=60, ha="right", fontsize="small")
     axes.set_ylabel("MAE, true air [K]")
+    axes.margins(y=0.08)  # for the labels over the intervals
+    axes.set_ylim(bottom=0.0)  # two seeds give intervals that go below
     axes.axhspan(0.0, 0.5, color="black", alpha=0.06, lw=0)
     decided = f"LLM: decided by {models.pop()}. " if len(models) == 1 else ""
     axes.set_title(f"-P: with penalty. {decided}Grey: within the sensor's ±0.5 K", fontsize="medium")
