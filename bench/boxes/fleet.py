@@ -224,7 +224,8 @@ def table(rows: Sequence[NewBoxRow]) -> Iterator[str]:
     for key in ("error_k", "cost"):
         ways = [{way: _number(found[name, way], key) for way in WAYS} for name in odd if not odd[name]]
         worth, near = (
-            sum(one["1 h and prior"] <= share * one["6 h"] for one in ways) for share in (1.0, 1.0 + NEAR)
+            sum(np.isfinite(own := one["1 h and prior"]) and own <= share * one["6 h"] for one in ways)
+            for share in (1.0, 1.0 + NEAR)
         )
         yield (
             f"{key}: 1 h with the prior is as good as 6 h without in {worth} of {len(ways)} boxes, "

@@ -1,0 +1,20 @@
+"""The count of boxes for which an hour with the prior is worth six without."""
+
+from bench.boxes.fleet import NewBoxRow, table
+
+
+def _rows(name, **errors):
+    ways = {"hour": "1 h", "six": "6 h", "prior": "1 h and prior"}
+    return [NewBoxRow(name, "", ways[key], error, error, error) for key, error in errors.items()]
+
+
+def test_a_box_of_which_nothing_was_learnt_is_worth_nothing():
+    rows = [
+        *_rows("better", hour=3.0, six=1.0, prior=0.9),
+        *_rows("near", hour=3.0, six=1.0, prior=1.04),
+        *_rows("worse", hour=3.0, six=1.0, prior=1.1),
+        *_rows("neither", hour=None, six=None, prior=None),
+        *_rows("only six", hour=None, six=1.0, prior=None),
+    ]
+    (told,) = (line for line in table(rows) if line.startswith("error_k"))
+    assert "is as good as 6 h without in 1 of 5 boxes, and no more than 5% worse in 2" in told
