@@ -25,11 +25,12 @@ LIKELY = 0.5  # an effect that no more boxes of the kind have is not begun with:
 KINDS_WORTH = 2.0  # boxes: what the whole fleet tells of an effect counts as so many of the kind
 SAME_ANSWER = {"wall_mass": "soil_mass"}  # told as the one that keeps the loss as a value of its own
 OF_BOX = (
-    "soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "fan_spinup", "heater_saturation",
-    "heater_sag",
+    "soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "heater_deadtime", "fan_spinup",
+    "heater_saturation", "heater_sag",
 )  # fmt: skip
-LAGS = ("heater_lag", "sensor_lag", "imperfect_mixing")  # answer alike, and a plan without any swings
-LAG = "a lag"  # one of them, in shares
+# These answer alike, and a plan without any swings; of two in a row one is often taken for the other.
+LAGS = ("heater_lag", "sensor_lag", "imperfect_mixing", "heater_deadtime")
+ONE_LAG, TWO_LAGS = "a lag", "two lags"  # at least so many of them, in shares
 FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 PARTS = ("test", "train")  # of a box's rows, in a told twin's provenance
 # A twin's own word for what it misses by is believed down to this share of its kind's median: a rig may lie.
@@ -140,8 +141,12 @@ def _speakers(sheets: Sequence[BoxSheet], shares: dict[str, dict[str, float]]) -
 
 
 def _common(names: set[str]) -> set[str]:
-    """Return effects, lags as one: they answer alike."""
-    return {LAG if name in LAGS else name for name in names}
+    """Return effects, each lag as any: they answer alike."""
+    return {name for name in names if name not in LAGS} | _lags(names)
+
+
+def _lags(names: set[str]) -> set[str]:
+    return {*(ONE_LAG, TWO_LAGS)[: len(names & {*LAGS})]}
 
 
 def _misses_k(sheets: Sequence[BoxSheet]) -> dict[str, float]:
@@ -176,8 +181,9 @@ def _places(file: TwinFile) -> Iterator[Place]:
 
 def _likely(shares: dict[str, float]) -> tuple[str, ...]:
     likely = {name for name in OF_BOX if shares[name] > LIKELY}
-    if shares[LAG] > LIKELY and not likely & {*LAGS}:
-        likely.add(max(LAGS, key=lambda name: shares[name]))
+    wanted = sum(shares[name] > LIKELY for name in (ONE_LAG, TWO_LAGS))
+    lags = sorted(LAGS, key=lambda name: shares[name], reverse=True)
+    likely |= {*lags[:wanted]}
     return tuple(name for name in OF_BOX if name in likely)
 
 
@@ -187,7 +193,7 @@ def _shares(sheets: Sequence[BoxSheet]) -> dict[str, dict[str, float]]:
     A box counts by the inverse square of what its twin misses by over the rows that it was fitted to: one
     that misses twice as much as others of its kind lacks something, and does not know what.
     """
-    names, every = (*OF_BOX, LAG), [_effects(sheet.twin) for sheet in sheets]
+    names, every = (*OF_BOX, ONE_LAG, TWO_LAGS), [_effects(sheet.twin) for sheet in sheets]
     kinds = np.array([sheet.kind for sheet in sheets])
     counts = np.ones(len(sheets))
     for kind in {*kinds}:
@@ -216,4 +222,4 @@ def _counts(sheets: Sequence[BoxSheet]) -> Floats:
 
 def _effects(twin: TwinFile) -> set[str]:
     found = {SAME_ANSWER.get(name, name) for name in twin.effects}
-    return found | {LAG} if found & {*LAGS} else found
+    return found | _lags(found)

@@ -3,6 +3,9 @@
 A box whose slow part is named `wall_mass` and one in which it is named `soil_mass` answer alike. So each twin
 is run through one course of heat and fan, and a twin of the shared structure is fitted to its answer. What
 the twin leaves open, with its correlations, is told by the answers of twins drawn from its intervals.
+
+Without a fan a slow box behind a fast sensor answers as a fast box behind a slow sensor does. A fit may find
+either, and a mean over both is neither. Of values that answer as well, those of the slower box are taken.
 """
 
 from collections.abc import Sequence
@@ -12,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.fitting import fit
-from edge.diagnosis.free_fit import fit_values, rms_k
+from edge.diagnosis.free_fit import FINELY, fit_values, rms_k
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.unknowns import with_usual
@@ -26,6 +29,11 @@ Floats = NDArray[np.float64]
 ROOM_C = 20.0
 NOISE_K = 0.02  # of an answer that nobody would tell apart
 DRAWS, STEPS = 12, 4  # twins drawn from a twin's intervals, iterations from its own values to theirs
+AS_GOOD = 1.2  # times the least miss, or what nobody would tell apart
+CAPACITY: Place = ("effects", "extra_capacity", "kC")
+LAG_TIMES: tuple[Place, ...] = (("effects", "sensor_lag", "tau_s"), ("effects", "heater_lag", "tau_h"))
+# What the air loses at first, while masses are cold.
+LOSSES: tuple[Place, ...] = (("effects", "wall_loss", "UA"), ("effects", "soil_mass", "G_s"))
 LEAST_SHARE = 0.01  # of what is usual: as near to nothing as a value that may be 0 counts
 # Legs of the course: share of full heat, and length in steps of the twin, which are chosen to suit a box.
 LEGS = (
@@ -63,9 +71,45 @@ def in_structure(twin: TwinFile, start: TwinFile, names: Sequence[str]) -> Share
     for name in names:
         if name not in file.effects:
             file = with_usual(file, name)
-    fitted = fit_values([file], (), course, NOISE_K, SideBySide())[0]
+    every = list(fit_values([file, _from_own(file, twin)], (), course, NOISE_K, SideBySide()))
+    every += [found for one in every for found in _exchange_times(one, course)]
+    misses_k = [rms_k(found, course) for found in every]
+    good_k = max(AS_GOOD * min(misses_k), NOISE_K)
+    good = [(found, miss_k) for found, miss_k in zip(every, misses_k, strict=True) if miss_k <= good_k]
+    fitted, miss_k = max(good, key=lambda own: _capacity(own[0].file))
     values = {place: Value(value.value) for place, value in fitted.file.values().items()}
-    return SharedTwin(fitted.file.with_values(values), rms_k(fitted, course), _sds(twin, fitted))
+    return SharedTwin(fitted.file.with_values(values), miss_k, _sds(twin, fitted))
+
+
+def _capacity(file: TwinFile) -> float:
+    return file.values()[CAPACITY].value if CAPACITY in file.values() else 0.0
+
+
+def _from_own(file: TwinFile, twin: TwinFile) -> TwinFile:
+    """Return the file with the twin's own values to begin with, where it has them."""
+    own = twin.values()
+    return file.with_values(
+        {
+            place: Value(own[place].value, fit=True)
+            for place, value in file.values().items()
+            if value.fit and place in own
+        }
+    )
+
+
+def _exchange_times(found: FittedTwin, course: RunBatch) -> list[FittedTwin]:
+    """Return the fit from where the time of the box and that of a lag behind it have changed places."""
+    file, own = found.file, found.file.values()
+    loss_w_k = sum(own[place].value for place in LOSSES if place in own)
+    air_j_k = file.twin().geometry.air_capacity_j_k
+    trials = []
+    for place in LAG_TIMES:
+        if place in own and CAPACITY in own and loss_w_k > 0.0:
+            box_s = own[CAPACITY].value * air_j_k / loss_w_k
+            begins = {CAPACITY: own[place].value * loss_w_k / air_j_k, place: box_s}
+            changed = {key: replace(own[key], value=value) for key, value in begins.items()}
+            trials.append(replace(found.trial, file=file.with_values(changed), free=found.free))
+    return fit(trials, course, FINELY)
 
 
 def _sds(twin: TwinFile, fitted: FittedTwin) -> dict[Place, float]:

@@ -63,6 +63,32 @@ def test_a_kind_whose_boxes_lag_somewhere_lags() -> None:
     assert fit_prior(told).structure("tent") == ("heater_lag",)
 
 
+def test_a_kind_whose_boxes_lag_twice_lags_twice() -> None:
+    lags = {
+        "heater_lag": {"tau_h": Value(120.0)},
+        "sensor_lag": {"tau_s": Value(40.0)},
+        "heater_deadtime": {"d_h": Value(20.0)},
+    }
+    told = []
+    for names in (
+        ("heater_lag", "sensor_lag"),
+        ("heater_lag", "heater_deadtime"),
+        ("heater_lag", "sensor_lag"),
+    ):
+        effects = {"wall_loss": {"UA": Value(2.4)}, "extra_capacity": {"kC": Value(4.0)}}
+        effects |= {name: lags[name] for name in names}
+        told.append(BoxSheet("+".join(names), "tent", replace(TwinFile(), effects=effects, fan_role="none")))
+    assert fit_prior(told).structure("tent") == ("heater_lag", "sensor_lag")
+    # One that lags once has put the other lag into its values: it tells none.
+    once = replace(TwinFile(), effects={**told[0].twin.effects}, fan_role="none")
+    del once.effects["sensor_lag"]
+    once.effects["extra_capacity"]["kC"] = Value(40.0)
+    start = fit_prior([*told, BoxSheet("once", "tent", once)]).start(
+        bare(replace(TwinFile(), fan_role="none")), "tent"
+    )
+    assert start.effects["extra_capacity"]["kC"].value == pytest.approx(4.0, rel=0.2)
+
+
 def told(rig: str, miss_k: float, loss_w_k: float = 2.4, *, has_soil: bool = False) -> BoxSheet:
     effects = {"wall_loss": {"UA": Value(loss_w_k)}, "extra_capacity": {"kC": Value(4.0)}}
     if has_soil:

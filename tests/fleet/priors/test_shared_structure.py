@@ -43,3 +43,27 @@ def test_an_effect_that_the_structure_lacks_shows_in_the_miss() -> None:
     mass = {"wall_loss": {"UA": Value(2.4)}, "soil_mass": {"C_s": Value(3240.0), "G_s": Value(3.6)}}
     twin = box(**mass, heater_saturation={"u_sat": Value(0.5)})
     assert in_structure(twin, bare(twin), NAMES).miss_k > 0.2
+
+
+def test_a_fast_box_behind_a_slow_sensor_is_told_as_the_slow_box_that_answers_alike() -> None:
+    air_j_k = TwinFile().values()["geometry", "volume_m3"].value * 1.2 * 1005.0
+
+    def behind(box_s: float, sensor_s: float) -> TwinFile:
+        return replace(
+            TwinFile(),
+            effects={
+                "wall_loss": {"UA": Value(2.4)},
+                "extra_capacity": {"kC": Value(2.4 * box_s / air_j_k)},
+                "sensor_lag": {"tau_s": Value(sensor_s)},
+            },
+            fan_role="none",
+        )
+
+    names = ("sensor_lag",)
+    slow, fast = (
+        in_structure(twin, bare(twin), names) for twin in (behind(1500.0, 300.0), behind(300.0, 1500.0))
+    )
+    for shared in (slow, fast):
+        found = {place[-1]: value.value for place, value in shared.file.values().items()}
+        assert found["tau_s"] == pytest.approx(300.0, rel=0.02)
+        assert found["kC"] == pytest.approx(2.4 * 1500.0 / air_j_k, rel=0.02)
