@@ -25,7 +25,8 @@ from edge.twin.twin_file import TwinFile
 
 # Found on development boxes (docs/measured/fleet.md).
 HEATS_K = (0.0, 0.3, 1.0)  # by which an unknown heat may warm the box in the end
-UNLIKE_K = 3.0  # a run that so much heat tells best is of another box
+UNLIKE_K = 3.0  # a run that so much heat tells far better is of another box
+FAR_BETTER_NATS = 3.0  # strong evidence, 20 to 1 (Kass and Raftery 1995, JASA 90)
 HEAT_TAU_S = 7200.0  # as the sun moves
 
 
@@ -44,7 +45,7 @@ def fit_about(prepared: PreparedRuns) -> TwinFile | None:
     trials = [Trial(file, own, rooms, unknowns(file)) for own in levels]
     *every, unlike = fit(trials, runs, FINELY)
     likely = max(map(_evidence, every))
-    return None if _evidence(unlike) > likely else fitted_twin(_mean(every))
+    return None if _evidence(unlike) > likely + FAR_BETTER_NATS else fitted_twin(_mean(every))
 
 
 def _mean(every: Sequence[FittedTwin]) -> FittedTwin:
