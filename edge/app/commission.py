@@ -46,6 +46,7 @@ BETTER, FAR_BETTER = 0.8, 0.5  # shares of the twin's error: a simple model is t
 UNLIKE = 2.0  # times what twins of a kind usually miss by: a box that does is not of the kind
 BY_SEARCH = ("added", "after", CORRELATION)  # of a provenance; not true of a baseline
 SEEN_MIN_K = 2.0  # that the air must have risen
+PROMISED_SHARE = 0.5  # of what a fleet's start says that it moves in these tests, where that is less
 LONGEST_MIN = 1440.0  # of tests that it proposes
 HELD_OUT_MIN = 20.0  # of a stretch whose newest rows no fit sees; a shorter one is only fitted
 
@@ -114,11 +115,11 @@ def _learn(
     run: RecordedRun, start: TwinFile, control: ControlSettings, progress: Progress, jobs: int
 ) -> Commissioned | None:
     """As `learn`, with what the start knows; None where the tests are of a box that its prior is not of."""
-    if (moved_k := _moved_k(run)) < SEEN_MIN_K:
+    if (moved_k := _moved_k(run)) < (least_k := _least_move_k(run, start)):
         minutes = len(run) * STEP_S / 60.0
-        longer = 30.0 * math.ceil(minutes * SEEN_MIN_K / max(moved_k, 1e-9) / 30.0)
+        longer = 30.0 * math.ceil(minutes * least_k / max(moved_k, 1e-9) / 30.0)
         raise RequestError(
-            f"refused: the air moved by {moved_k:.1f} K in all of the tests, less than {SEEN_MIN_K:g} K: the "
+            f"refused: the air moved by {moved_k:.1f} K in all of the tests, less than {least_k:.2g} K: the "
             "heater is too small for this box or this time, not connected, or the sensor hangs where its "
             "heat does not come" + (f"; tests of {longer:g} minutes may do" if longer <= LONGEST_MIN else "")
         )
@@ -131,7 +132,7 @@ def _learn(
     held_out = dict(judging)
     both = [(name, held_out.get(name, part)) for name, part in zip(names, parts, strict=True)]
     runs = diagnosis_runs(both, judging, file)
-    limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * moved_k)
+    limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * max(moved_k, SEEN_MIN_K))
 
     def search(begin: TwinFile) -> tuple[Diagnosis, TwinFile, float]:
         found = diagnose(begin, runs, progress, COMMISSION, jobs)
@@ -233,6 +234,19 @@ def _refusals(error_k: float, limit_k: float) -> Iterator[str]:
             f"over {TEST_SHARE:.0%} of the tests, which no fit saw, the twin is off by "
             f"{error_k:.2f} K, more than {limit_k:.2f} K"
         )
+
+
+def _least_move_k(run: RecordedRun, start: TwinFile) -> float:
+    """Return by how much the air must have moved; of a slow kind a fleet tells that it is little [K]."""
+    if PRIOR not in start.provenance:
+        return SEEN_MIN_K
+    twin = replace(start, sample_s=STEP_S).twin()
+    still = np.zeros(len(run))
+    duty, fan = (np.nan_to_num(run.columns.get(name, still))[None] for name in ("heater_duty", "fan_on"))
+    rest = at_rest(twin, still[:1], still[:1])
+    conditions = {name: still for name in twin.needs}
+    promised_k = float(np.ptp(twin.rollout(rest, duty, fan, still[None], conditions=conditions)))
+    return min(SEEN_MIN_K, PROMISED_SHARE * promised_k)
 
 
 def _moved_k(run: RecordedRun) -> float:

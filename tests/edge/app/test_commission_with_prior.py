@@ -1,14 +1,16 @@
 """`edge.app.commission.learn` from the start that a fleet gave: a box of its kind, and one that is not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bench.support.simulated_runs import silent
-from edge.app.commission import Commissioned, learn
+from edge.app.commission import SEEN_MIN_K, Commissioned, learn
 from edge.app.step_test_record import STEP_S
 from edge.config.settings import ControlSettings
+from edge.core.errors import RequestError
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin
 from edge.twin.provenance import PRIOR
@@ -20,9 +22,10 @@ pytestmark = pytest.mark.slow
 ROOM_C, OFFSET_K = 20.0, 0.4
 
 
-def an_hour(loss_w_k: float) -> RecordedRun:
+def an_hour(loss_w_k: float, capacity: float = 4.0) -> RecordedRun:
     """Return an hour of a box whose sensor reads OFFSET_K more than the room's."""
-    effects = {"wall_loss": {"UA": loss_w_k}, "extra_capacity": {"kC": 4.0}, "heater_lag": {"tau_h": 120.0}}
+    effects = {"wall_loss": {"UA": loss_w_k}, "extra_capacity": {"kC": capacity}}
+    effects["heater_lag"] = {"tau_h": 120.0}
     box = BoxTwin(effects=effects, step_s=STEP_S)
     duty = np.repeat([0.0, 1.0, 0.0, 0.6, 1.0, 0.3], 60)
     room = np.full(len(duty), ROOM_C)
@@ -39,14 +42,21 @@ def an_hour(loss_w_k: float) -> RecordedRun:
     return RecordedRun(columns, {"start_utc": "2026-07-01T08:00:00Z"}, Path("tests.csv"))
 
 
-def learnt(loss_w_k: float) -> Commissioned:
-    usual = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 4.4}, "heater_lag": {"tau_h": 100.0}}
+def start_of_kind(capacity: float) -> TwinFile:
+    usual = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": capacity}, "heater_lag": {"tau_h": 100.0}}
     uncertain = {
         name: {key: Value(value, rel_sd=0.1) for key, value in own.items()} for name, own in usual.items()
     }
     prior = {PRIOR: {"kind": "tent", "misses_k": 0.2}}
-    start = TwinFile(effects=uncertain, fan_role="none", provenance=prior)
-    return learn(an_hour(loss_w_k), start, ControlSettings(), silent)
+    return TwinFile(effects=uncertain, fan_role="none", provenance=prior)
+
+
+def slow_kind() -> TwinFile:
+    return start_of_kind(600.0)
+
+
+def learnt(loss_w_k: float) -> Commissioned:
+    return learn(an_hour(loss_w_k), start_of_kind(4.4), ControlSettings(), silent)
 
 
 def test_a_box_of_the_kind_keeps_its_effects_and_gets_its_own_values() -> None:
@@ -64,3 +74,21 @@ def test_a_box_that_is_unlike_its_kind_has_no_prior_in_its_twin() -> None:
     found = learnt(1.2)
     assert PRIOR not in found.twin.provenance
     assert not found.twin.to_fit()
+
+
+def test_an_hour_that_hardly_moves_a_slow_box_is_fitted_where_its_kind_is_slow() -> None:
+    run = an_hour(4.6, capacity=500.0)
+    assert np.ptp(run.columns["temp_air_c"]) < SEEN_MIN_K
+    with pytest.raises(RequestError, match="less than 2 K"):
+        learn(run, replace(slow_kind(), provenance={}), ControlSettings(), silent)
+    found = learn(run, slow_kind(), ControlSettings(), silent)
+    assert PRIOR in found.twin.provenance
+    assert not found.refusals
+    assert found.twin.effects["extra_capacity"]["kC"].value == pytest.approx(500.0, rel=0.15)
+
+
+def test_a_heater_that_is_not_connected_is_found_in_a_slow_kind_too() -> None:
+    run = an_hour(4.6, capacity=500.0)
+    cold = replace(run, columns={**run.columns, "temp_air_c": run.columns["temp_ambient_c"]})
+    with pytest.raises(RequestError, match="not connected"):
+        learn(cold, slow_kind(), ControlSettings(), silent)
