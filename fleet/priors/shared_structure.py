@@ -73,7 +73,7 @@ def in_structure(twin: TwinFile, start: TwinFile, names: Sequence[str]) -> Share
             file = with_usual(file, name)
     every = list(fit_values([file, _from_own(file, twin)], (), course, NOISE_K, SideBySide()))
     every += [found for one in every for found in _exchange_times(one, course)]
-    misses_k = [rms_k(found, course) for found in every]
+    misses_k = [miss_k if np.isfinite(miss_k := rms_k(found, course)) else np.inf for found in every]
     good_k = max(AS_GOOD * min(misses_k), NOISE_K)
     good = [(found, miss_k) for found, miss_k in zip(every, misses_k, strict=True) if miss_k <= good_k]
     fitted, miss_k = max(good, key=lambda own: _capacity(own[0].file))
@@ -90,11 +90,17 @@ def _from_own(file: TwinFile, twin: TwinFile) -> TwinFile:
     own = twin.values()
     return file.with_values(
         {
-            place: Value(own[place].value, fit=True)
+            place: _possible(file, place, own[place].value)
             for place, value in file.values().items()
             if value.fit and place in own
         }
     )
+
+
+def _possible(file: TwinFile, place: Place, value: float) -> Value:
+    """Return a value to begin with, near to this one: a rig may tell anything."""
+    usual = file.usual(place)
+    return Value(float(np.clip(value, max(usual.low, 1e-9), usual.high)), fit=True)
 
 
 def _exchange_times(found: FittedTwin, course: RunBatch) -> list[FittedTwin]:
@@ -107,7 +113,7 @@ def _exchange_times(found: FittedTwin, course: RunBatch) -> list[FittedTwin]:
         if place in own and CAPACITY in own and loss_w_k > 0.0:
             box_s = own[CAPACITY].value * air_j_k / loss_w_k
             begins = {CAPACITY: own[place].value * loss_w_k / air_j_k, place: box_s}
-            changed = {key: replace(own[key], value=value) for key, value in begins.items()}
+            changed = {key: _possible(file, key, value) for key, value in begins.items()}
             trials.append(replace(found.trial, file=file.with_values(changed), free=found.free))
     return fit(trials, course, FINELY)
 
