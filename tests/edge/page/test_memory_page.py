@@ -41,9 +41,13 @@ def test_a_reason_and_a_note_are_remembered_edited_and_forgotten(rig: Any) -> No
         enter(driver, page, Role.OPERATE, "Ann")
 
         def fill(label: str, words: str) -> None:
-            box = driver.find_element(By.CSS_SELECTOR, f"[aria-label='{label}']")
-            box.clear()
-            box.send_keys(words)
+            def typed() -> bool:  # a field that the page draws anew meanwhile has its old words again
+                box = driver.find_element(By.CSS_SELECTOR, f"[aria-label='{label}']")
+                box.clear()
+                box.send_keys(words)
+                return box.get_attribute("value") == words
+
+            wait_for(typed)
 
         def card() -> str:
             return driver.find_element(By.CSS_SELECTOR, "section[aria-label='Memory']").text
