@@ -243,9 +243,7 @@ def _least_move_k(run: RecordedRun, start: TwinFile) -> float:
     twin = replace(start, sample_s=STEP_S).twin()
     still = np.zeros(len(run))
     duty, fan = (np.nan_to_num(run.columns.get(name, still))[None] for name in ("heater_duty", "fan_on"))
-    rest = at_rest(twin, still[:1], still[:1])
-    conditions = {name: still for name in twin.needs}
-    promised_k = float(np.ptp(twin.rollout(rest, duty, fan, still[None], conditions=conditions)))
+    promised_k = float(np.ptp(_air_c(twin, 0.0, Commands(duty, fan))))
     return min(SEEN_MIN_K, PROMISED_SHARE * promised_k)
 
 
@@ -267,9 +265,14 @@ def _after_c(twin: BoxTwin, room_c: float, hours: float, duty: float, fan: float
     """Return the air after hours of the same inputs, from rest [°C]."""
     steps = max(round(3600.0 * hours / twin.step_s), 1)
     inputs = Commands(np.full((1, steps), duty), np.full((1, steps), fan))
-    conditions = {name: np.zeros(steps) for name in twin.needs}
+    return float(_air_c(twin, room_c, inputs, inputs)[-1])
+
+
+def _air_c(twin: BoxTwin, room_c: float, inputs: Commands, before: Commands | None = None) -> Floats:
+    """Return the air under inputs [1, N] from rest, [N]. before : inputs until then, off where None"""
+    conditions = {name: np.zeros(inputs.duty.shape[1]) for name in twin.needs}
     rest = at_rest(twin, twin.signals.room(np.array(room_c)), room_c)
-    return float(twin.rollout(rest, *inputs, room_c, conditions=conditions, before=inputs)[0, -1])
+    return np.asarray(twin.rollout(rest, *inputs, room_c, conditions=conditions, before=before)[0])
 
 
 def _held_out(run: RecordedRun) -> RecordedRun:

@@ -18,7 +18,7 @@ from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 from fleet.priors.population import LEAST_SD, Population, ValuePrior, fit_population
-from fleet.priors.shared_structure import LEAST_SHARE, in_structure
+from fleet.priors.shared_structure import LEAST_SHARE, in_structure, possible
 
 Floats = NDArray[np.float64]
 LIKELY = 0.5  # an effect that no more boxes of the kind have is not begun with: an hour hardly tells it
@@ -110,7 +110,7 @@ class FleetPrior:
         if population is None:
             return None
         about, usual = population.of_kind(kind), file.usual(place)
-        value = float(np.clip(usual.start * np.exp(about.mean), max(usual.low, 1e-9), usual.high))
+        value = possible(file, place, usual.start * np.exp(about.mean))
         return Value(float(f"{value:.6g}"), rel_sd=float(f"{about.sd:.3g}"))
 
 

@@ -82,7 +82,8 @@ def in_structure(twin: TwinFile, start: TwinFile, names: Sequence[str]) -> Share
 
 
 def _capacity(file: TwinFile) -> float:
-    return file.values()[CAPACITY].value if CAPACITY in file.values() else 0.0
+    own = file.values().get(CAPACITY)
+    return own.value if own else 0.0
 
 
 def _from_own(file: TwinFile, twin: TwinFile) -> TwinFile:
@@ -90,17 +91,17 @@ def _from_own(file: TwinFile, twin: TwinFile) -> TwinFile:
     own = twin.values()
     return file.with_values(
         {
-            place: _possible(file, place, own[place].value)
+            place: Value(possible(file, place, own[place].value), fit=True)
             for place, value in file.values().items()
             if value.fit and place in own
         }
     )
 
 
-def _possible(file: TwinFile, place: Place, value: float) -> Value:
-    """Return a value to begin with, near to this one: a rig may tell anything."""
+def possible(file: TwinFile, place: Place, value: float) -> float:
+    """Return the nearest value that a fit may begin from: a rig may tell anything."""
     usual = file.usual(place)
-    return Value(float(np.clip(value, max(usual.low, 1e-9), usual.high)), fit=True)
+    return float(np.clip(value, max(usual.low, 1e-9), usual.high))
 
 
 def _exchange_times(found: FittedTwin, course: RunBatch) -> list[FittedTwin]:
@@ -113,7 +114,7 @@ def _exchange_times(found: FittedTwin, course: RunBatch) -> list[FittedTwin]:
         if place in own and CAPACITY in own and loss_w_k > 0.0:
             box_s = own[CAPACITY].value * air_j_k / loss_w_k
             begins = {CAPACITY: own[place].value * loss_w_k / air_j_k, place: box_s}
-            changed = {key: _possible(file, key, value) for key, value in begins.items()}
+            changed = {key: Value(possible(file, key, value), fit=True) for key, value in begins.items()}
             trials.append(replace(found.trial, file=file.with_values(changed), free=found.free))
     return fit(trials, course, FINELY)
 
