@@ -23,7 +23,7 @@ from edge.diagnosis.adopted_twin import round_value
 from edge.diagnosis.baselines import bare
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.prepare import prepare
-from edge.diagnosis.prior_fit import fit_about
+from edge.diagnosis.prior_fit import USUAL_MISS_K, fit_about
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import FROM_S, DiagnosisRuns, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
@@ -105,7 +105,7 @@ def learn(
     """
     found = _learn(run, start, control, progress, jobs)
     error_k = math.inf if found is None else found.expectation.error_k
-    if found is not None and (PRIOR not in start.provenance or error_k <= usual_miss_k(start)):
+    if found is not None and (PRIOR not in start.provenance or error_k <= UNLIKE * usual_miss_k(start)):
         return found
     alone = learn(run, bare(start), control, progress, jobs)
     return alone if found is None or not error_k < FAR_BETTER * alone.expectation.error_k else found
@@ -185,13 +185,13 @@ def _about_prior(start: TwinFile, begin: RecordedRun, runs: DiagnosisRuns) -> Tw
     """
     if PRIOR not in start.provenance:
         return start
-    found = fit_about(prepare(with_rest_offset(start, begin), runs))
+    found = fit_about(prepare(with_rest_offset(start, begin), runs), usual_miss_k(start) or USUAL_MISS_K)
     return found and replace(found, provenance={**found.provenance, PRIOR: start.provenance[PRIOR]})
 
 
 def usual_miss_k(file: TwinFile) -> float:
-    """Return what a twin may miss by and be of its kind; 0 where the file has no fleet's prior [K]."""
-    return UNLIKE * max(provenance_numbers(file, PRIOR, USUAL_MISS), default=0.0)
+    """Return what twins of its kind usually miss by; 0 where no fleet has told [K]."""
+    return max(provenance_numbers(file, PRIOR, USUAL_MISS), default=0.0)
 
 
 def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFile, float]:
@@ -203,7 +203,7 @@ def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFil
     a free run does not show.
     """
     given, before_k = found.inputs.file, found.test_k.get("before", math.inf)
-    if before_k <= usual_miss_k(given):
+    if before_k <= UNLIKE * usual_miss_k(given):
         return _instead(found, given, before_k), before_k
     error_k, twins = found.test_k.get("after", math.nan), found.simple_twins
     simple = {name: error for name, error in found.test_k.items() if name in twins}

@@ -64,7 +64,7 @@ def test_a_box_of_the_kind_keeps_its_effects_and_gets_its_own_values() -> None:
     assert found.twin.provenance[PRIOR] == {"kind": "tent", "misses_k": 0.2}
     assert {*found.twin.effects} == {"wall_loss", "extra_capacity", "heater_lag", "sensor_bias"}
     assert found.twin.effects["wall_loss"]["UA"].value == pytest.approx(4.6, rel=0.02)
-    assert found.twin.effects["sensor_bias"]["bias"].value == pytest.approx(OFFSET_K, abs=0.05)
+    assert found.twin.effects["sensor_bias"]["bias"].value == pytest.approx(OFFSET_K, abs=0.1)
     assert not found.refusals
     assert not found.twin.to_fit()
     assert all(value.rel_sd is None for value in found.twin.values().values())

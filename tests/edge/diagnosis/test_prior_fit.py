@@ -1,4 +1,4 @@
-"""edge/diagnosis/prior_fit.py: values about a prior, and a heat that nobody knows beside them."""
+"""edge/diagnosis/prior_fit.py: values about a prior, and a reading that drifts from what the twin says."""
 
 from dataclasses import replace
 
@@ -7,27 +7,28 @@ import pytest
 
 from bench.support.simulated_runs import BOX, as_diagnosis_runs, simulate
 from edge.diagnosis.prepare import prepare
-from edge.diagnosis.prior_fit import fit_about
+from edge.diagnosis.prior_fit import drifts, fit_about
 from edge.formats.run_file import RecordedRun
 from edge.twin.draws import CORRELATION, uncertain
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 
 SPREAD = 0.1
+MISSES_K = (0.0, 0.3, 1.0)
 
 
-def fit(loss_w_k: float, run: RecordedRun, spread: float = SPREAD) -> TwinFile | None:
+def fit(loss_w_k: float, run: RecordedRun, miss_k: float = 0.3) -> TwinFile | None:
     start = TwinFile(
         effects={
-            "wall_loss": {"UA": Value(loss_w_k, rel_sd=spread)},
-            "extra_capacity": {"kC": Value(10.0, rel_sd=spread)},
+            "wall_loss": {"UA": Value(loss_w_k, rel_sd=SPREAD)},
+            "extra_capacity": {"kC": Value(10.0, rel_sd=SPREAD)},
         }
     )
-    return fit_about(prepare(start, as_diagnosis_runs([run], file=start)))
+    return fit_about(prepare(start, as_diagnosis_runs([run], file=start)), miss_k)
 
 
-def fitted(loss_w_k: float, run: RecordedRun) -> TwinFile:
-    found = fit(loss_w_k, run)
+def fitted(loss_w_k: float, run: RecordedRun, miss_k: float = 0.3) -> TwinFile:
+    found = fit(loss_w_k, run, miss_k)
     assert found is not None
     return found
 
@@ -42,25 +43,38 @@ def test_a_run_moves_the_values_of_its_prior() -> None:
     assert CORRELATION in found.provenance
 
 
-def test_a_sun_that_nobody_measured_is_not_all_taken_for_a_smaller_loss(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_sun_that_nobody_measured_is_not_all_taken_for_a_smaller_loss() -> None:
     run = simulate(BOX, 1, 60)
     air = run.columns["temp_air_c"]
     # As of a heat that came in with the run and goes on: 1.5 K within half an hour.
     warmed = air + 1.5 * (1.0 - np.exp(-np.arange(len(air)) / 15.0))
     sunny = replace(run, columns={**run.columns, "temp_air_c": warmed})
-    found = fitted(4.0, sunny).effects["wall_loss"]["UA"]
-    monkeypatch.setattr("edge.diagnosis.prior_fit.HEATS_K", (0.0,))
-    by_values_alone = fitted(4.0, sunny).effects["wall_loss"]["UA"]
-    assert by_values_alone.value + 0.05 < found.value < 4.0
-    assert (found.low or 0.0) < 4.0 < (found.high or 0.0)
-    assert (by_values_alone.high or 0.0) < 4.0
+    certain, usual, careful = (fitted(4.0, sunny, miss_k).effects["wall_loss"]["UA"] for miss_k in MISSES_K)
+    assert certain.value + 0.05 < usual.value < careful.value < 4.0
+    assert (careful.low or 0.0) < 4.0 < (careful.high or 0.0)
+    assert (certain.high or 0.0) < 4.0
 
 
 def test_a_run_of_another_box_is_not_fitted() -> None:
     run = simulate({**BOX, "wall_loss": {"UA": 1.5}}, 1, 60)
-    assert fit(4.0, run, 0.03) is None
-    assert fit(1.5, run, 0.03) is not None
-    # Here the heat tells it better, but not by much: that is no proof.
-    assert fit(1.9, run, 0.03) is not None
+    assert fit(4.0, run) is None
+    assert fit(1.5, run) is not None
+    # Twice the spread of its kind is no proof.
+    assert fit(1.8, run) is not None
+
+
+@pytest.mark.parametrize("miss_k", [0.0, 1e3])
+def test_any_miss_that_a_fleet_may_tell_leaves_a_twin(miss_k: float) -> None:
+    loss = fitted(3.4, simulate(BOX, 1, 60), miss_k).effects["wall_loss"]["UA"]
+    assert 3.3 < loss.value < 4.2
+
+
+def test_drifts_go_together_over_minutes_in_one_run_alone() -> None:
+    first, second = (
+        np.sum([np.outer(term.shape[:, run], term.shape[:, run]) for term in drifts((2, 360), 10.0, 0.5)], 0)
+        for run in (0, 1)
+    )
+    np.testing.assert_allclose(first, second, atol=1e-12)
+    assert first[100, 100] == pytest.approx(0.25, rel=0.1)
+    assert first[100, 160] == pytest.approx(0.25 / np.e, rel=0.1)
+    assert all(np.any(term.shape, axis=0).sum() == 1 for term in drifts((2, 360), 10.0, 0.5))
