@@ -148,7 +148,9 @@ def _learn(
         found, chosen, error_k = search(about)
     if PRIOR in chosen.provenance:  # it is of its kind: what judged it may be fitted too
         every = diagnosis_runs(list(zip(names, parts, strict=True)), [], file)
-        again = _about_prior(begun, parts[0], every) or chosen
+        again = _about_prior(begun, parts[0], every)
+        if again is None:
+            return None
         chosen = replace(again, provenance={**chosen.provenance, **again.provenance})
     step_k = max(step_of(run.columns["temp_air_c"]), start.sensor.get("quantisation_k") or 0.0)
     twin = replace(chosen, sample_s=control.step_s, sensor={**chosen.sensor, "quantisation_k": step_k})

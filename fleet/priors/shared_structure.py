@@ -41,10 +41,10 @@ LEGS = (
     (0.5, 160), (0.1, 160), (0.8, 180), (0.0, 180),
 )  # fmt: skip
 FAN_EVERY, FAN_ROWS = 7, 3  # of so many rows the fan blows in so many, in every second leg
-# What is where a box stands, in a sensor's error, or unnamed: not in how it is known to be built.
+# What is where a box stands, or in a sensor's error, and not in how it is built.
 OF_PLACE = (
     "constant_heat", "ambient_offset", "sensor_bias", "solar_gain", "evapotranspiration", "respiration_heat",
-    "led_gain", "door_opening", "ua_drift", "unnamed_heat", "unnamed_cut",
+    "led_gain", "door_opening", "ua_drift", "unnamed_heat",
 )  # fmt: skip
 
 
