@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from bench.support.simulated_runs import silent
+from edge.app import commission
 from edge.app.commission import SEEN_MIN_K, Commissioned, learn
 from edge.app.step_test_record import STEP_S
 from edge.config.settings import ControlSettings
 from edge.core.errors import RequestError
+from edge.diagnosis.prepare import PreparedRuns
+from edge.diagnosis.prior_fit import fit_about
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin
 from edge.twin.provenance import PRIOR
@@ -72,6 +75,21 @@ def test_a_box_of_the_kind_keeps_its_effects_and_gets_its_own_values() -> None:
 
 def test_a_box_that_is_unlike_its_kind_has_no_prior_in_its_twin() -> None:
     found = learnt(1.2)
+    assert PRIOR not in found.twin.provenance
+    assert not found.twin.to_fit()
+
+
+def test_the_last_of_an_hour_may_show_that_a_box_is_unlike_its_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lid is opened where no fit sees it until the prior is taken."""
+    rows: list[int] = []
+
+    def fit(prepared: PreparedRuns, miss_k: float) -> TwinFile | None:
+        rows.append(int(prepared.runs.measured.sum()))
+        return fit_about(prepared, miss_k) if len(rows) == 1 else None
+
+    monkeypatch.setattr(commission, "fit_about", fit)
+    found = learnt(4.6)
+    assert rows[0] < rows[1]
     assert PRIOR not in found.twin.provenance
     assert not found.twin.to_fit()
 
