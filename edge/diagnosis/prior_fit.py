@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 USUAL_MISS_K = 0.3  # where the fleet does not tell what twins of the kind miss by
 DRIFT_TAU_S = 600.0  # over which errors go together
 DRIFT_SHARE = 0.95  # of the drift's variance that its terms hold
+MOST_POINTS, MOST_TERMS = 360, 30  # of a run: more cost time in tests of a day and tell nothing
 WIDER = 3.0  # times the spread of its kind: a box that this suits better is of another
 BETTER_NATS = 1.0  # positive evidence (Kass and Raftery 1995, JASA 90)
 
@@ -61,13 +62,15 @@ def drifts(shape: tuple[int, int], step_s: float, miss_k: float) -> tuple[SizedT
     """
     count, rows = shape
     times_s = step_s * np.arange(rows)
-    covariance = miss_k**2 * np.exp(-np.abs(times_s[:, None] - times_s) / DRIFT_TAU_S)
+    points_s = np.linspace(0.0, times_s[-1], min(rows, MOST_POINTS))
+    covariance = miss_k**2 * np.exp(-np.abs(points_s[:, None] - points_s) / DRIFT_TAU_S)
     variances, shapes = np.linalg.eigh(covariance)
     variances, shapes = variances[::-1], shapes[:, ::-1]
     terms = 1 + int(np.searchsorted(np.cumsum(variances), DRIFT_SHARE * variances.sum()))
-    sized = shapes[:, :terms] * np.sqrt(variances[:terms])
+    largest = zip(variances[: min(terms, MOST_TERMS)], shapes.T, strict=False)
+    sized = [np.interp(times_s, points_s, np.sqrt(variance) * own) for variance, own in largest]
     return tuple(
-        SizedTerm(f"drift {i + 1} of run {run + 1}", np.outer(sized[:, i], own), 1.0, of_reading=True)
-        for run, own in enumerate(np.eye(count))
-        for i in range(terms)
+        SizedTerm(f"drift {i} of run {run}", np.outer(drift, own), 1.0, of_reading=True)
+        for run, own in enumerate(np.eye(count), 1)
+        for i, drift in enumerate(sized, 1)
     )

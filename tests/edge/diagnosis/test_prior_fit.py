@@ -7,7 +7,7 @@ import pytest
 
 from bench.support.simulated_runs import BOX, as_diagnosis_runs, simulate
 from edge.diagnosis.prepare import prepare
-from edge.diagnosis.prior_fit import drifts, fit_about
+from edge.diagnosis.prior_fit import MOST_TERMS, drifts, fit_about
 from edge.formats.run_file import RecordedRun
 from edge.twin.draws import CORRELATION, uncertain
 from edge.twin.twin_file import TwinFile
@@ -78,3 +78,9 @@ def test_drifts_go_together_over_minutes_in_one_run_alone() -> None:
     assert first[100, 100] == pytest.approx(0.25, rel=0.1)
     assert first[100, 160] == pytest.approx(0.25 / np.e, rel=0.1)
     assert all(np.any(term.shape, axis=0).sum() == 1 for term in drifts((2, 360), 10.0, 0.5))
+
+
+def test_tests_of_a_day_have_no_more_drifts_than_those_of_hours() -> None:
+    drift = drifts((1, 8640), 10.0, 0.5)
+    assert len(drift) == MOST_TERMS
+    assert drift[0].shape.shape == (8640, 1)
