@@ -21,6 +21,7 @@ from edge.diagnosis.trial import FittedTwin, SizedTerm
 from edge.twin.twin_file import TwinFile
 
 Floats = NDArray[np.float64]
+# These and WIDER were found on development boxes (docs/measured/fleet.md).
 USUAL_MISS_K = 0.3  # where the fleet does not tell what twins of the kind miss by
 DRIFT_TAU_S = 600.0  # over which errors go together
 DRIFT_SHARE = 0.95  # of the drift's variance that its terms hold

@@ -80,7 +80,7 @@ def test_a_box_that_is_unlike_its_kind_has_no_prior_in_its_twin() -> None:
 
 
 def test_the_last_of_an_hour_may_show_that_a_box_is_unlike_its_kind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The lid is opened where no fit sees it until the prior is taken."""
+    """By a fit that finds it so, once it has every row: an hour that shows it so late is hard to make."""
     rows: list[int] = []
 
     def fit(prepared: PreparedRuns, miss_k: float) -> TwinFile | None:
