@@ -20,6 +20,7 @@ from edge.diagnosis.handover import (
     none_at_all,
     rmse,
 )
+from edge.diagnosis.noise_levels import first_levels
 from edge.diagnosis.prepare import PreparedRuns, errors_over
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.runs import NamedRun
@@ -38,7 +39,7 @@ Floats = NDArray[np.float64]
 MOST_UNNAMED = 2
 FIRST_FEW = 3  # of the search's last round, that are tried too
 LESS_SEEN = 0.97  # times the error over rows that were fitted, for left-out rows to be looked at
-LESS_UNNAMED = 0.7  # times the error, for a term that says nothing of its cause
+LESS_UNNAMED = 0.7  # times the error, also of a term with a cause, for one that says nothing of its own
 EXPLAINED = 2.0  # times a reading's noise: free runs that miss by less lack nothing that matters
 FAR_FROM_NOISE = 10.0  # here something is, whatever the likelihood took it for
 NEVER_MOVED = 0.1  # of a coordinate, that is the same still
@@ -115,7 +116,7 @@ def judge(
             handed = comparison.trials[names]
             break
         if not names:
-            handed = _with_unnamed(search, comparison, comparison.choose(names))
+            handed = _with_unnamed(search, comparison, names)
             if not (more := _thought_of(search, comparison, handed, names, refused)):
                 break
             effects = list(read(search, score_set(search, more)))
@@ -127,7 +128,7 @@ def judge(
         every |= now
         against = {name: item.against for name, item in now.items() if item.against}
         if not against:
-            handed = _with_unnamed(search, comparison, comparison.choose(names))
+            handed = _with_unnamed(search, comparison, names)
             # With what else is in that twin a name may have become what it can't be.
             for name in names:
                 said = impossible(name, handed.fit, known.runs, known.file.sample_s)
@@ -240,20 +241,22 @@ def _thought_of(
     return frozenset(more) if more and handed.rmse_k < HALF * less else frozenset()
 
 
-def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) -> JudgedTwin:
+def _with_unnamed(search: Search, comparison: Comparison, names: Names) -> JudgedTwin:
     """With what makes free runs clearly better over left-out rows, whatever it stands for."""
-    file, runs = search.file, comparison.inputs.runs
+    file, runs, handed = search.file, comparison.inputs.runs, comparison.choose(names)
+    # A twin that lacks what was named takes some of that for noise of a reading.
+    noise_k = min(comparison.noise_k, first_levels(file, runs).sensor_k)
     last = search.rounds[-1].candidates[:FIRST_FEW] if search.rounds else ()
     also = [item.name for item in last if item.name in search.candidates.names]
     usual = [name for name in common_effects() if name in search.candidates.names]
     # Where much is unexplained, a twin without a name predicts better with these.
-    stand_ins = [name for name, effect in EFFECTS.items() if effect.stands_in and _moves(effect, runs)]
+    stand_ins = [name for name, effect in EFFECTS.items() if effect.stands_in and _moves(effect, file, runs)]
     possible = [name for name in dict.fromkeys((*usual, *also, *stand_ins, OPEN)) if name not in file.effects]
     if not any(value.rel_sd for value in file.values().values()):
         possible.remove(OPEN)
     middle_c = float(np.nanmedian(runs.temp))
     for _ in range(MOST_UNNAMED):
-        if handed.rmse_k <= EXPLAINED * comparison.noise_k:
+        if handed.rmse_k <= EXPLAINED * noise_k:
             break
         wanted = [handed.added | {name} for name in possible if name not in handed.added]
         most_k = LESS_SEEN * rms_k(handed.fit, runs)
@@ -265,24 +268,36 @@ def _with_unnamed(search: Search, comparison: Comparison, handed: JudgedTwin) ->
                 item
                 for item in found
                 if not item.at_bound
-                and not _is_moved(handed, item)
+                and (_is_known(item.added - handed.added) or not _is_moved(handed, item))
                 and comparison.is_sound(item, most_start_k)
             ),
-            key=lambda item: item.rmse_k,
+            key=lambda item: _worth_k(item, handed),
             default=handed,
         )
-        more = (EFFECTS.get(name) for name in best.added - handed.added)
-        nameless = any(effect is not None and effect.offer is Offer.NAMELESS for effect in more)
-        less = LESS_UNNAMED if nameless else 1.0
-        if not comparison.is_better_throughout(best, handed) or best.rmse_k > less * handed.rmse_k:
+        if not comparison.is_better_throughout(best, handed) or _worth_k(best, handed) > handed.rmse_k:
             break
         handed = best
     return handed
 
 
-def _moves(effect: Effect, runs: RunBatch) -> bool:
-    """Return True where all commands change without which the effect says nothing."""
-    commands = {"heater_duty": runs.duty, "fan_on": runs.fan}
+def _is_known(added: Names) -> bool:
+    """Return whether all of them are what some boxes have, and no diagnosis seeks.
+
+    Films thin in every warm box. A name's value that moves with that was wrong without.
+    """
+    return all(name in EFFECTS and EFFECTS[name].offer is Offer.KNOWN_ONLY for name in added)
+
+
+def _worth_k(item: JudgedTwin, than: JudgedTwin) -> float:
+    """Return what it misses by; more where it adds a term that says nothing of its cause."""
+    added = (EFFECTS.get(name) for name in item.added - than.added)
+    nameless = any(effect is not None and effect.offer is Offer.NAMELESS for effect in added)
+    return item.rmse_k / LESS_UNNAMED if nameless else item.rmse_k
+
+
+def _moves(effect: Effect, file: TwinFile, runs: RunBatch) -> bool:
+    """Return True where all commands change without which the effect says nothing; no fan does not."""
+    commands = {"heater_duty": runs.duty, "fan_on": runs.fan if file.fan_role != "none" else 0.0}
     return all(np.ptp(commands[key]) > 0.0 for key in effect.must_change)
 
 

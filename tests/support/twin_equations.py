@@ -15,7 +15,7 @@ NOTHING = {
     "eps_f": 1.0, "s_sc": 0.0, "d_f": 0.0, "tau_f": 0.0, "F_mix": 0.0, "tau_s": 0.0, "bias": 0.0,
     "b_amb": 0.0, "P0": 0.0, "P_led": 0.0, "A_sun": 0.0, "k_e": 0.0, "G_door": 0.0, "ua_drift": 0.0,
     "P_fan": 0.0, "G_g": 0.0, "T_g": 0.0, "F_st": 0.0, "G_nc": 0.0, "P_res": 0.0, "G_stir": 0.0,
-    "k_el": 0.0,
+    "k_el": 0.0, "k_P": 0.0,
 }  # fmt: skip
 STATES = ("air", "upper", "wall", "soil", "heater", "fan", "sensor")
 
@@ -27,7 +27,10 @@ def late(commands, time_s, dead_s, step_s):
 
 
 def slopes(state, duty, fan, now, p):
-    """dx/dt of STATES; now : ambient (as measured), light, solar, rel_humidity, day, door."""
+    """dx/dt of STATES.
+
+    now : ambient (as measured), light, solar, rel_humidity, day, door, command (of the heater, not late)
+    """
     air, upper, wall, soil, element, speed, sensor = state
     room = now["ambient"] - p["b_amb"]
     supply = min(duty, p["u_sat"])
@@ -55,6 +58,7 @@ def slopes(state, duty, fan, now, p):
         + p["P_led"] * now["light"]
         + p["A_sun"] * now.get("solar", 0.0)
         + p["P_res"] * np.exp(np.log(2.0) * (min(air, 40.0) - 20.0) / 10.0)
+        - p["k_P"] * (air - 20.0) * HEATER_W * now["command"]
         - p["k_e"] * (0.4 + 0.6 * now["light"]) * deficit
     )
     exhaust = p["eps_f"] * (1.0 - p["s_sc"]) * flow * EXHAUST_W_K * (air - room)
@@ -89,7 +93,7 @@ def shown(effects, start, duty, fan, columns, step_s=60.0):
     state = np.array([start.get(name, 0.0) for name in STATES])
     temps = []
     for k in range(len(duty)):
-        now = {name: column[k] for name, column in columns.items()}
+        now = {name: column[k] for name, column in columns.items()} | {"command": duty[k]}
         cuts = sorted({0.0, p["d_h"] % step_s, p["d_f"] % step_s, step_s})
         for begin, end in pairwise(cuts):
             middle = k * step_s + 0.5 * (begin + end)

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from edge.twin.effects.effect import (
     DEAD_TIMES_S,
     BlindRuns,
@@ -13,6 +15,9 @@ from edge.twin.effects.effect import (
     by_name,
 )
 from edge.twin.network import Network
+from edge.twin.signals import Floats, HeatConditions
+
+RATED_AT_C = 20.0  # a rated power is that in a room
 
 
 def heater_lag(network: Network, tau_h: float) -> None:
@@ -43,6 +48,20 @@ def heater_saturation(network: Network, u_sat: float) -> None:
 def heater_sag(network: Network, sag: float) -> None:
     """Voltage that falls, or resistance that rises, with the load: H = H_max u (1 - sag u)."""
     network.signals.duty_sag = sag
+
+
+def heater_derating(network: Network, k_P: float) -> None:
+    """Power that falls as the air warms, as a PTC heater's does: H = H_max u (1 - k_P (T - 20)).
+
+    Its element stays near the temperature T_c at which its resistance rises, so k_P is 1 / (T_c - 20).
+    """
+    full_w = network.geometry.heater_max_w
+
+    def flow(now: HeatConditions) -> Floats:
+        less = np.clip(k_P * (now.temp - RATED_AT_C), -1.0, 1.0)
+        return np.asarray(-full_w * now.column["heater_duty"] * less)
+
+    network.heat(flow, by_temp=True)
 
 
 def blown_element(network: Network, k_el: float) -> None:
@@ -107,6 +126,16 @@ HEATER_EFFECTS: Mapping[str, Effect] = by_name(
         starts=({"sag": 0.05},),
         check=POWER_CHECK,
         hidden_by=_SCALE,
+    ),
+    Effect(
+        heater_derating,
+        (EffectParameter("k_P", "1/K", 0.0, 0.05, 0.01),),
+        source="heat that an element of constant temperature gives to the air, Incropera & DeWitt, ch. 1",
+        without="negative in proportion to the duty, and more so in warm air",
+        offer=Offer.KNOWN_ONLY,
+        check=POWER_CHECK,
+        stands_in=True,
+        must_change=("heater_duty",),
     ),
     Effect(
         blown_element,

@@ -1,5 +1,7 @@
 """edge/twin/effects/library.py: bounded heat without a name, and what it is for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from edge.diagnosis import candidates
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.handover import OPEN, JudgedTwin, free_values
-from edge.diagnosis.judgement import _is_moved
+from edge.diagnosis.judgement import LESS_UNNAMED, _is_moved, _moves, _worth_k
 from edge.diagnosis.trial import FittedTwin, Trial
 from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.effects.library import EFFECTS, UNNAMED_EFFECTS
@@ -83,6 +85,16 @@ def test_a_known_effect_of_a_fan_that_never_runs_is_no_stand_in(monkeypatch: pyt
     assert "fan_heat" in found.adopted.effects  # as the file has it
 
 
+def test_a_heater_that_fades_in_warm_air_stands_in_without_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {"fan_deadtime": EFFECTS["fan_deadtime"]}
+    monkeypatch.setattr(candidates, "USUAL_EFFECTS", few)
+    runs = [simulate({**BASE, "heater_derating": {"k_P": 0.02}}, seed) for seed in (1, 2, 3)]
+    file = twin_file(BASE)
+    found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
+    assert not found.verdict.effects
+    assert found.adopted.effects["heater_derating"]["k_P"].value == pytest.approx(0.02, rel=0.1)
+
+
 def test_opened_values_are_adopted_like_any_other() -> None:
     file = twin_file().with_values({("effects", "wall_loss", "UA"): Value(3.0, rel_sd=0.1)})
     assert free_values(file).to_fit() == [("effects", "wall_loss", "UA")]
@@ -94,15 +106,36 @@ def test_it_is_never_offered_as_a_name() -> None:
     assert not set(UNNAMED_EFFECTS) & set(Candidates(twin_file(), runs, {}).names)
 
 
-def predicted(added: set[str], places: dict[tuple[str, str, str], float], sd: float = 0.1) -> JudgedTwin:
-    """A twin of which no more is told than its values."""
+def predicted(
+    added: set[str], places: dict[tuple[str, str, str], float], sd: float = 0.1, error_k: float = 0.0
+) -> JudgedTwin:
+    """A twin of which no more is told than its values, and what it misses by."""
     free = tuple(UnknownValue(place, 1e-3, 1e3, True, 1.0, 0.0, 1.0) for place in places)
     file, coordinates = twin_file(), np.array(list(places.values()))
     fitted = FittedTwin(
         Trial(file, NOISE), file, free, coordinates, 0.0, sd**2 * np.eye(len(free)), np.zeros((1, 1)),
         np.empty(0), np.empty(0),
     )  # fmt: skip
-    return JudgedTwin(frozenset(added), fitted, np.zeros((1, 1)))
+    return JudgedTwin(frozenset(added), fitted, np.full((1, 1), error_k))
+
+
+def test_a_term_without_a_cause_gives_way_to_one_with_a_cause_that_is_nearly_as_good() -> None:
+    handed = predicted({"heater_lag"}, {})
+    caused = predicted({"heater_lag", "heater_derating"}, {}, error_k=0.14)
+    near, far = (predicted({"heater_lag", "unnamed_cut"}, {}, error_k=error_k) for error_k in (0.13, 0.09))
+    assert min((caused, near), key=lambda item: _worth_k(item, handed)) is caused
+    assert min((caused, far), key=lambda item: _worth_k(item, handed)) is far
+    # one that the twin has already costs nothing more
+    assert _worth_k(far, handed) == pytest.approx(0.09 / LESS_UNNAMED)
+    assert _worth_k(far, far) == pytest.approx(0.09)
+
+
+def test_the_heat_of_a_fan_that_a_box_does_not_have_is_no_stand_in() -> None:
+    fan = np.tile([0.0, 1.0], 20)[None]
+    runs = RunBatch(np.full((1, 41), 20.0), np.zeros((1, 40)), fan, np.full((1, 40), 20.0), {})
+    heat = EFFECTS["fan_heat"]
+    assert _moves(heat, twin_file(), runs)
+    assert not _moves(heat, replace(twin_file(), fan_role="none"), runs)
 
 
 def test_a_name_that_becomes_something_else_beside_a_term_is_moved() -> None:

@@ -75,6 +75,7 @@ BENT = {  # largest error where noise is 0.3 K and where it is 1 K
     "stack_ventilation": (0.006, 0.025),
     "natural_convection": (0.01, 0.06),
     "respiration_heat": (0.003, 0.006),
+    "heater_derating": (0.01, 0.06),
 }
 
 

@@ -84,7 +84,7 @@ def test_a_box_that_is_smaller_and_quicker_by_the_factors_does_the_same(heat: fl
 
 
 def test_every_unit_of_heat_or_time_is_known() -> None:
-    others = {"", "K", "°C", "1/d"}
+    others = {"", "K", "1/K", "°C", "1/d"}
     assert {item.unit for _, item in EVERY} <= POWERS.keys() | others
 
 

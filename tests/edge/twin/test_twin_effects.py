@@ -183,6 +183,13 @@ def test_a_loss_that_grows_with_the_difference_is_a_walls_at_10_k(name):
     assert ends[0.6][0] < ends[0.6][1] - 0.3
 
 
+def test_a_heater_that_fades_holds_a_box_where_its_power_and_the_loss_meet():
+    fading = {"wall_loss": {"UA": 4.0}, "heater_derating": {"k_P": 0.01}}
+    # 40 W (1 - 0.01 (T - 20)) = 4 W/K (T - 21)
+    assert run(fading, 0.4, 0.0, steps=100)[-1] == pytest.approx(30.0, abs=1e-3)
+    assert run(fading, 0.0, 0.0, steps=100)[-1] == pytest.approx(21.0, abs=1e-3)
+
+
 def test_dry_and_bright_air_is_cooled_and_saturated_air_is_not():
     effects = {"evapotranspiration": {"k_e": 20.0}}
     ends = [

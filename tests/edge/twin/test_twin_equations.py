@@ -44,6 +44,7 @@ SECOND_ORDER = {
     "stack_ventilation": {"F_st": 0.002},
     "natural_convection": {"G_nc": 2.0},
     "respiration_heat": {"P_res": 2.0},
+    "heater_derating": {"k_P": 0.01},
 }
 EXACT_K, SECOND_ORDER_K, TWO_K, ZONES_K = 2e-6, 0.01, 0.02, 0.03  # as edge/twin/rollout.py states
 
