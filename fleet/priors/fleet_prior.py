@@ -23,14 +23,19 @@ from fleet.priors.shared_structure import LEAST_SHARE, in_structure, possible
 Floats = NDArray[np.float64]
 LIKELY = 0.5  # an effect that no more boxes of the kind have is not begun with: an hour hardly tells it
 KINDS_WORTH = 2.0  # boxes: what the whole fleet tells of an effect counts as so many of the kind
-SAME_ANSWER = {"wall_mass": "soil_mass"}  # told as the one that keeps the loss as a value of its own
+# Told as the one that keeps the loss as a value of its own, or that has a cause.
+SAME_ANSWER = {"wall_mass": "soil_mass", "unnamed_cut": "heater_derating"}
 OF_BOX = (
     "soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "heater_deadtime", "fan_spinup",
-    "heater_saturation", "heater_sag",
+    "heater_saturation", "heater_sag", "heater_derating", "natural_convection",
 )  # fmt: skip
-# These answer alike, and a plan without any swings; of two in a row one is often taken for the other.
-LAGS = ("heater_lag", "sensor_lag", "imperfect_mixing", "heater_deadtime")
-ONE_LAG, TWO_LAGS = "a lag", "two lags"  # at least so many of them, in shares
+# Groups that answer alike, by the names of its first and second: a plan without any lag swings, and of two in
+# a row one is often taken for the other; a heater that fades in warm air for a loss that grows there.
+ALIKE = {
+    ("a lag", "two lags"): ("heater_lag", "sensor_lag", "imperfect_mixing", "heater_deadtime"),
+    ("a bend", "two bends"): ("natural_convection", "heater_derating"),
+}
+COUNTS = tuple(name for counts in ALIKE for name in counts)  # at least so many, in shares
 FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 PARTS = ("test", "train")  # of a box's rows, in a told twin's provenance
 # A twin's own word for what it misses by is believed down to this share of its kind's median: a rig may lie.
@@ -141,12 +146,12 @@ def _speakers(sheets: Sequence[BoxSheet], shares: dict[str, dict[str, float]]) -
 
 
 def _common(names: set[str]) -> set[str]:
-    """Return effects, each lag as any: they answer alike."""
-    return {name for name in names if name not in LAGS} | _lags(names)
+    """Return effects, those that answer alike by their number."""
+    return names.difference(*ALIKE.values()) | _numbers(names)
 
 
-def _lags(names: set[str]) -> set[str]:
-    return {*(ONE_LAG, TWO_LAGS)[: len(names & {*LAGS})]}
+def _numbers(names: set[str]) -> set[str]:
+    return {told for counts, group in ALIKE.items() for told in counts[: len(names & {*group})]}
 
 
 def _misses_k(sheets: Sequence[BoxSheet]) -> dict[str, float]:
@@ -181,9 +186,9 @@ def _places(file: TwinFile) -> Iterator[Place]:
 
 def _likely(shares: dict[str, float]) -> tuple[str, ...]:
     likely = {name for name in OF_BOX if shares[name] > LIKELY}
-    wanted = sum(shares[name] > LIKELY for name in (ONE_LAG, TWO_LAGS))
-    lags = sorted(LAGS, key=lambda name: shares[name], reverse=True)
-    likely |= {*lags[:wanted]}
+    for counts, group in ALIKE.items():
+        wanted = sum(shares[name] > LIKELY for name in counts)
+        likely |= {*sorted(group, key=lambda name: shares[name], reverse=True)[:wanted]}
     return tuple(name for name in OF_BOX if name in likely)
 
 
@@ -193,7 +198,7 @@ def _shares(sheets: Sequence[BoxSheet]) -> dict[str, dict[str, float]]:
     A box counts by the inverse square of what its twin misses by over the rows that it was fitted to: one
     that misses twice as much as others of its kind lacks something, and does not know what.
     """
-    names, every = (*OF_BOX, ONE_LAG, TWO_LAGS), [_effects(sheet.twin) for sheet in sheets]
+    names, every = (*OF_BOX, *COUNTS), [_effects(sheet.twin) for sheet in sheets]
     kinds = np.array([sheet.kind for sheet in sheets])
     counts = np.ones(len(sheets))
     for kind in {*kinds}:
@@ -222,4 +227,4 @@ def _counts(sheets: Sequence[BoxSheet]) -> Floats:
 
 def _effects(twin: TwinFile) -> set[str]:
     found = {SAME_ANSWER.get(name, name) for name in twin.effects}
-    return found | _lags(found)
+    return found | _numbers(found)

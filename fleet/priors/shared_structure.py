@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.fitting import fit
-from edge.diagnosis.free_fit import FINELY, fit_values, rms_k
+from edge.diagnosis.free_fit import FINELY, exchanges, fit_values, rms_k
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin
-from edge.diagnosis.unknowns import with_usual
+from edge.diagnosis.unknowns import place_unknowns, with_usual
 from edge.twin.draws import drawn_twins
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import Place, TwinFile
@@ -31,9 +31,6 @@ NOISE_K = 0.02  # of an answer that nobody would tell apart
 DRAWS, STEPS = 12, 4  # twins drawn from a twin's intervals, iterations from its own values to theirs
 AS_GOOD = 1.2  # times the least miss, or what nobody would tell apart
 CAPACITY: Place = ("effects", "extra_capacity", "kC")
-LAG_TIMES: tuple[Place, ...] = (("effects", "sensor_lag", "tau_s"), ("effects", "heater_lag", "tau_h"))
-# What the air loses at first, while masses are cold.
-LOSSES: tuple[Place, ...] = (("effects", "wall_loss", "UA"), ("effects", "soil_mass", "G_s"))
 LEAST_SHARE = 0.01  # of what is usual: as near to nothing as a value that may be 0 counts
 # Legs of the course: share of full heat, and length in steps of the twin, which are chosen to suit a box.
 LEGS = (
@@ -106,17 +103,8 @@ def possible(file: TwinFile, place: Place, value: float) -> float:
 
 def _exchange_times(found: FittedTwin, course: RunBatch) -> list[FittedTwin]:
     """Return the fit from where the time of the box and that of a lag behind it have changed places."""
-    file, own = found.file, found.file.values()
-    loss_w_k = sum(own[place].value for place in LOSSES if place in own)
-    air_j_k = file.twin().geometry.air_capacity_j_k
-    trials = []
-    for place in LAG_TIMES:
-        if place in own and CAPACITY in own and loss_w_k > 0.0:
-            box_s = own[CAPACITY].value * air_j_k / loss_w_k
-            begins = {CAPACITY: own[place].value * loss_w_k / air_j_k, place: box_s}
-            changed = {key: Value(possible(file, key, value), fit=True) for key, value in begins.items()}
-            trials.append(replace(found.trial, file=file.with_values(changed), free=found.free))
-    return fit(trials, course, FINELY)
+    begins = [place_unknowns(found.file, found.free, x) for x in exchanges(found)]
+    return fit([replace(found.trial, file=file, free=found.free) for file in begins], course, FINELY)
 
 
 def _sds(twin: TwinFile, fitted: FittedTwin) -> dict[Place, float]:
