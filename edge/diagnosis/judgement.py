@@ -263,18 +263,16 @@ def _with_unnamed(search: Search, comparison: Comparison, names: Names) -> Judge
         comparison.add({key: _with(file, key, middle_c) for key in wanted}, most_k)
         found = [comparison.trials[key] for key in wanted if key in comparison.trials]
         most_start_k = NO_WORSE * comparison.from_start_k(handed)
-        best = min(
-            (
-                item
-                for item in found
-                if not item.at_bound
-                and (_is_known(item.added - handed.added) or not _is_moved(handed, item))
-                and comparison.is_sound(item, most_start_k)
-            ),
-            key=lambda item: _worth_k(item, handed),
-            default=handed,
-        )
-        if not comparison.is_better_throughout(best, handed) or _worth_k(best, handed) > handed.rmse_k:
+        sound = [
+            item
+            for item in found
+            if not item.at_bound
+            and (_is_known(item.added - handed.added) or not _is_moved(handed, item))
+            and comparison.is_better_throughout(item, handed)
+            and comparison.is_sound(item, most_start_k)
+        ]
+        best = min(sound, key=lambda item: _worth_k(item, handed), default=handed)
+        if best is handed or _worth_k(best, handed) > handed.rmse_k:
             break
         handed = best
     return handed
