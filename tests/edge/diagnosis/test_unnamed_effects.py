@@ -10,7 +10,7 @@ from edge.diagnosis import candidates
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.handover import OPEN, JudgedTwin, free_values
-from edge.diagnosis.judgement import LESS_UNNAMED, _is_moved, _moves, _worth_k
+from edge.diagnosis.judgement import LESS_UNNAMED, _is_known, _is_moved, _moves, _worth_k
 from edge.diagnosis.trial import FittedTwin, Trial
 from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.effects.library import EFFECTS, UNNAMED_EFFECTS
@@ -128,6 +128,12 @@ def test_a_term_without_a_cause_gives_way_to_one_with_a_cause_that_is_nearly_as_
     # one that the twin has already costs nothing more
     assert _worth_k(far, handed) == pytest.approx(0.09 / LESS_UNNAMED)
     assert _worth_k(far, far) == pytest.approx(0.09)
+
+
+def test_a_name_that_moves_keeps_out_what_it_may_stand_for_and_not_what_any_warm_box_has() -> None:
+    assert _is_known(frozenset({"natural_convection"})) and _is_known(frozenset({"heater_derating"}))
+    for name in ("soil_mass", "unnamed_heat", OPEN):
+        assert not _is_known(frozenset({name}))
 
 
 def test_the_heat_of_a_fan_that_a_box_does_not_have_is_no_stand_in() -> None:
