@@ -54,6 +54,7 @@ def heater_derating(network: Network, k_P: float) -> None:
     """Power that falls as the air warms, as a PTC heater's does: H = H_max u (1 - k_P (T - 20)).
 
     Its element stays near the temperature T_c at which its resistance rises, so k_P is 1 / (T_c - 20).
+    What warm air takes away goes with the command as given, however late or slowly the heat itself comes.
     """
     full_w = network.geometry.heater_max_w
 

@@ -125,9 +125,8 @@ def test_a_term_without_a_cause_gives_way_to_one_with_a_cause_that_is_nearly_as_
     near, far = (predicted({"heater_lag", "unnamed_cut"}, {}, error_k=error_k) for error_k in (0.13, 0.09))
     assert min((caused, near), key=lambda item: _worth_k(item, handed)) is caused
     assert min((caused, far), key=lambda item: _worth_k(item, handed)) is far
-    # one that the twin has already costs nothing more
     assert _worth_k(far, handed) == pytest.approx(0.09 / LESS_UNNAMED)
-    assert _worth_k(far, far) == pytest.approx(0.09)
+    assert _worth_k(far, far) == pytest.approx(0.09)  # the twin has it already
 
 
 def test_a_name_that_moves_keeps_out_what_it_may_stand_for_and_not_what_any_warm_box_has() -> None:

@@ -63,6 +63,20 @@ def test_a_kind_whose_boxes_lag_somewhere_lags() -> None:
     assert fit_prior(told).structure("tent") == ("heater_lag",)
 
 
+def test_a_kind_whose_boxes_bend_somehow_bends() -> None:
+    bends = {
+        "natural_convection": {"G_nc": Value(1.0)},
+        "heater_derating": {"k_P": Value(0.02)},
+        "unnamed_cut": {"f_x": Value(0.2), "T_x": Value(45.0), "w_x": Value(2.0)},
+    }
+    told = []
+    for name, own in bends.items():
+        effects = {"wall_loss": {"UA": Value(2.4)}, "extra_capacity": {"kC": Value(4.0)}, name: own}
+        told.append(BoxSheet(name, "tent", replace(TwinFile(), effects=effects, fan_role="none")))
+    # A cut in warm air is told as a heater that fades there, so two of three have that.
+    assert fit_prior(told).structure("tent") == ("heater_derating",)
+
+
 def test_a_kind_whose_boxes_lag_twice_lags_twice() -> None:
     lags = {
         "heater_lag": {"tau_h": Value(120.0)},
