@@ -165,6 +165,7 @@ ANSWER_WITH_AN_OLD_VIEW = """
         done();
     });
 """
+ORDERS_ANSWERED = "return performance.getEntriesByName(location.origin + '/api/order').length"
 WATCH_THE_MODE = """
     window.seen = [];
     const look = () => window.seen.push(document.querySelector("header .quiet").textContent);
@@ -232,8 +233,10 @@ def test_a_sensor_is_calibrated_step_by_step_and_back(rig) -> None:
         wait_for(lambda: f"The sensor reads {before:.2f}" in card() and "and will read 0.4" in card())
         assert driver.execute_script("return document.documentElement.scrollWidth") <= PHONE[0]
         assert serious_findings(driver) == []
+        driver.execute_script("performance.clearResourceTimings()")
         tap(driver, "Apply")
-        wait_for(lambda: state()["since_utc"] is not None)
+        wait_for(lambda: driver.execute_script(ORDERS_ANSWERED) == 1)  # a killed daemon answers no order
+        assert state()["since_utc"] is not None
         said = ("soil_moisture was calibrated by its points, by Ann (page)",)
         wait_for(lambda: said in daemon.rows("SELECT text FROM events WHERE key = 'operator.order'"))
         daemon.kill()
