@@ -103,6 +103,8 @@ def judge(
 ) -> DiagnosisJudgement:
     """Keep the names that stand, and choose the twin. tests : runs that are only judged by"""
     comparison = Comparison(known, search.sets.base().fit.trial.levels.sensor_k, shared, telling)
+    # A twin that lacks much takes some of that for noise of a reading.
+    noise_k = min(comparison.noise_k, first_levels(known.file, known.runs).sensor_k)
     effects, doubtful = list(found.effects), list[Doubtful]()
     every: dict[str, NameEvidence] = {}
     refused = set[str]()
@@ -112,11 +114,11 @@ def judge(
         doubtful += exchanged
         names = frozenset(effect.name for effect in effects)
         whole = score_set(search, names)
-        if not names and comparison.trials[names].rmse_k <= EXPLAINED * comparison.noise_k:
+        if not names and comparison.trials[names].rmse_k <= EXPLAINED * noise_k:
             handed = comparison.trials[names]
             break
         if not names:
-            handed = _with_unnamed(search, comparison, names)
+            handed = _with_unnamed(search, comparison, names, noise_k)
             if not (more := _thought_of(search, comparison, handed, names, refused)):
                 break
             effects = list(read(search, score_set(search, more)))
@@ -128,7 +130,7 @@ def judge(
         every |= now
         against = {name: item.against for name, item in now.items() if item.against}
         if not against:
-            handed = _with_unnamed(search, comparison, names)
+            handed = _with_unnamed(search, comparison, names, noise_k)
             # With what else is in that twin a name may have become what it can't be.
             for name in names:
                 said = impossible(name, handed.fit, known.runs, known.file.sample_s)
@@ -145,7 +147,7 @@ def judge(
         doubtful += [Doubtful(effect, against[effect.name]) for effect in effects if effect.name in against]
         effects = [effect for effect in effects if effect.name not in against]
     comparison.add_simple()
-    text = _final_verdict(search, found, tuple(effects), handed, shapes, comparison.noise_k)
+    text = _final_verdict(search, found, tuple(effects), handed, shapes, noise_k)
     other = another(handed.fit, known.runs, comparison.noise_k, shared)
     return DiagnosisJudgement(text, tuple(doubtful), every, comparison, handed, other)
 
@@ -241,11 +243,12 @@ def _thought_of(
     return frozenset(more) if more and handed.rmse_k < HALF * less else frozenset()
 
 
-def _with_unnamed(search: Search, comparison: Comparison, names: Names) -> JudgedTwin:
-    """With what makes free runs clearly better over left-out rows, whatever it stands for."""
+def _with_unnamed(search: Search, comparison: Comparison, names: Names, noise_k: float) -> JudgedTwin:
+    """With what makes free runs clearly better over left-out rows, whatever it stands for.
+
+    noise_k : of a reading
+    """
     file, runs, handed = search.file, comparison.inputs.runs, comparison.choose(names)
-    # A twin that lacks what was named takes some of that for noise of a reading.
-    noise_k = min(comparison.noise_k, first_levels(file, runs).sensor_k)
     last = search.rounds[-1].candidates[:FIRST_FEW] if search.rounds else ()
     also = [item.name for item in last if item.name in search.candidates.names]
     usual = [name for name in common_effects() if name in search.candidates.names]
