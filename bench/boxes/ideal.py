@@ -3,7 +3,7 @@
 The box's own equations in place of a twin. How its tolerances are spread is known (siblings.py), an hour of
 step tests says the rest: forecasts are averaged over draws from the posterior. Beside it the box itself, with
 its true parts. Neither knows the sun or the mains of the day that judges, as no twin does. Compared with what
-is learnt from six hours without a prior, and from an hour with one, of `bench.boxes.fleet --out`.
+is learnt from six hours without a prior, and from an hour with one, where `bench.boxes.fleet --out` has it.
 """
 
 import argparse
@@ -19,7 +19,17 @@ from scipy.stats import norm
 
 from bench.boxes.draw import draw_box
 from bench.boxes.facts import BoxFacts
-from bench.boxes.fleet import KNOWN, LITTLE_H, MINUTE_S, FleetBox, NewBoxRow, first_hours, place_of
+from bench.boxes.fleet import (
+    KNOWN,
+    LITTLE_H,
+    MINUTE_S,
+    FleetBox,
+    NewBoxRow,
+    first_hours,
+    place_of,
+    record_day,
+    record_tests,
+)
 from bench.boxes.physics import BoxPhysics
 from bench.boxes.siblings import HEATER, SUN, build
 from bench.header import header
@@ -173,6 +183,8 @@ class Limits:
 
 def limits(out: Path, box: FleetBox) -> Limits:
     """Return what can be known of a box."""
+    record_tests(out, box)
+    record_day(out, box)
     tests, day = (read_run(out / f"{box.name}.{name}.csv") for name in ("tests", "day"))
     day = resample(day, MINUTE_S)
     hour = Hour(draw_box(box.design), resample(first_hours(tests, LITTLE_H), ROW_S))
@@ -183,7 +195,9 @@ def limits(out: Path, box: FleetBox) -> Limits:
 
 
 def learnt(path: Path) -> float:
-    """Return the error of a row that `bench.boxes.fleet` kept; inf where nothing was learnt."""
+    """Return the error of a kept row; inf where nothing was learnt, NaN where none is kept."""
+    if not path.exists():
+        return np.nan
     row: NewBoxRow = read_json(NewBoxRow, path)
     return np.inf if row.error_k is None else row.error_k
 
@@ -191,20 +205,21 @@ def learnt(path: Path) -> float:
 def lines(out: Path, found: Sequence[Limits], built: int) -> Iterator[str]:
     """Yield a line for each box, then how often each is as good as six hours."""
     yield f"{'box':<8}{'6 h':>8}{'1 h and prior':>16}{'1 h, own equations':>22}{'true parts':>14}"
-    better = np.zeros(3, dtype=int)
+    better, known = np.zeros(3, dtype=int), 0
     for item in found:
         name = item.box.name
         fleet = [FleetBox(item.box.design, number) for number in range(1, built + 1)]
         six = learnt(out / f"{name}.6-h.json")
         ways = learnt(place_of(out, fleet) / f"{name}.1-h-and-prior.json"), item.hour, item.itself
         better += np.array(ways) <= six
+        known += not np.isnan(six)
         yield f"{name:<8}{six:8.2f}{ways[0]:16.2f}{ways[1]:22.2f}{ways[2]:14.2f}"
     counts = "".join(f"{n:>{width}d}" for n, width in zip(better, (16, 22, 14), strict=True))
-    yield f"{'as good as 6 h':<16}{counts}  of {len(found)}"
+    yield f"{'as good as 6 h':<16}{counts}  of {known}"
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Print a table of boxes that `bench.boxes.fleet` measured."""
+    """Print a table of boxes, beside what `bench.boxes.fleet` measured of them."""
     parser = argparse.ArgumentParser(prog="python -m bench.boxes.ideal", description=__doc__)
     parser.add_argument("--designs", type=int, nargs="+", choices=KNOWN, required=True)
     parser.add_argument("--built", type=int, default=4, help="boxes of each design in the fleet (usual: 4)")
@@ -213,6 +228,7 @@ def main(words: Sequence[str] | None = None) -> int:
     given = parser.parse_args(words)
     print("\n".join(header()), flush=True)
     boxes = [FleetBox(design, k) for design in given.designs for k in range(1, given.built + 1)]
+    given.out.mkdir(parents=True, exist_ok=True)
     found = sweep(partial(limits, given.out), boxes, given.workers, given.dask)
     print("\n".join(lines(given.out, found, given.built)))
     return 0
