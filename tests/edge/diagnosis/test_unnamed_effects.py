@@ -70,7 +70,7 @@ def test_values_that_the_runs_contradict_are_opened_and_that_is_said() -> None:
     fitted = found.adopted.effects["wall_loss"]["UA"]
     assert fitted.value == pytest.approx(9.0, rel=0.1) or found.verdict.kind == "named"
     if OPEN in found.judgement.handover.added:
-        assert any("wall_loss.UA is" in line for line in found.judgement.told)
+        assert any("wall_loss.UA is" in line for line in found.judgement.notes)
 
 
 def test_a_known_effect_of_a_fan_that_never_runs_is_no_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,6 +93,22 @@ def test_a_heater_that_fades_in_warm_air_stands_in_without_a_name(monkeypatch: p
     found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
     assert not found.verdict.effects
     assert found.adopted.effects["heater_derating"]["k_P"].value == pytest.approx(0.02, rel=0.1)
+
+
+def test_what_no_term_follows_is_not_taken_for_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(candidates, "USUAL_EFFECTS", {"fan_deadtime": EFFECTS["fan_deadtime"]})
+
+    def weather(duty: np.ndarray, *_: np.ndarray) -> np.ndarray:
+        """25 W to the box or from it by the quarter of an hour, which nothing measures."""
+        signs = np.random.default_rng(len(duty)).choice([-1.0, 1.0], len(duty) // 15 + 1)
+        return 25.0 * np.repeat(signs, 15)[: len(duty)]
+
+    runs = [simulate(BASE, seed, further=weather) for seed in (1, 2, 3)]
+    file = replace(twin_file(BASE), sensor={"quantisation_k": 0.0, "noise_sd_k": None})
+    found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
+    assert found.judgement.handover.rmse_k > 10.0 * NOISE.sensor_k
+    assert found.judgement.comparison.noise_k > 10.0 * NOISE.sensor_k  # by the likelihood alone
+    assert found.verdict.kind == "unknown"
 
 
 def test_opened_values_are_adopted_like_any_other() -> None:
