@@ -43,9 +43,10 @@ SUN_S, MAINS_S = 600.0, 900.0  # between two knots, as in disturbances.py
 SUNS, MAINS = 7, 5  # knots of an hour
 SMOOTHED = 7  # rows of the room's sensor, which is as coarse as the other
 ROOMS_C = 6.0, 31.0  # where nothing measures the room
-NOISE_K = 0.03  # least error of a reading, of this the box's inner step is some
+NOISE_K = 0.03  # least error of a reading; the box's inner step alone makes up to 0.012 K
 MEAN_SUN = 0.06  # of a day, as a share of its peak: clouds, and the hours that the window has it
-TRIES, DRAWS, SEED = 8, 10, 1
+TRIES = 8  # slopes on the way to the best place
+DRAWS, SEED = 10, 1  # from the posterior
 UNKNOWN = 64  # more than a box has tolerances
 
 
@@ -66,7 +67,7 @@ class Quantiles:
 
 
 @dataclass(frozen=True, slots=True)
-class AroundHour:
+class GivenAround:
     """The room [°C] at times [s], knots of the sun [W/m²] and of the mains (1: nominal)."""
 
     time_s: Floats
@@ -158,7 +159,7 @@ def told_between(shown_c: Floats, step_k: float) -> tuple[Floats, Floats]:
 def simulate(facts: BoxFacts, run: RecordedRun, room_c: Floats, sun: Floats, mains: Floats) -> Floats:
     """Return the readings of a box that begins at rest in its room, at the rows of a run [N]."""
     time_s, duty, fan = (run.columns[name] for name in ("time_s", "heater_duty", "fan_on"))
-    physics = BoxPhysics(facts, AroundHour(time_s, room_c, sun, mains))
+    physics = BoxPhysics(facts, GivenAround(time_s, room_c, sun, mains))
     states = [physics.start(1, float(time_s[0]))]
     for k, step_s in enumerate(np.diff(time_s)):
         states.append(

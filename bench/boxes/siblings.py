@@ -16,7 +16,7 @@ from bench.boxes.lots import Hand
 
 SALT = 7
 HEATER, FLOW, SHEET, SOIL = (0.90, 1.05), (0.85, 1.15), (0.93, 1.07), (0.8, 1.25)
-SUN = 0.3, 1.5
+SUN = 0.3, 1.5  # times that of the design: each box has a window of its own
 GAPS, WATER, LAG = (0.5, 2.0), (0.6, 1.7), (0.8, 1.25)
 BIAS_K, SHARE = 0.5, 0.1  # of the air's sensor; by which its place differs
 
