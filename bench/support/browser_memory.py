@@ -1,6 +1,7 @@
 """Memory of an open page in a browser, and the number of views and courses that have come to it."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from selenium.webdriver.remote.webdriver import WebDriver
@@ -50,11 +51,22 @@ def courses(driver: WebDriver) -> int:
 
 def wait_for_pushes(driver: WebDriver, count: int) -> None:
     """Return once so many views have come."""
+    _wait(pushes, driver, count)
+
+
+def wait_for_courses(driver: WebDriver, count: int) -> None:
+    """Return once so many courses have come. A page asks for one when no new tick has come for a moment."""
+    _wait(courses, driver, count)
+
+
+def _wait(counted: Callable[[WebDriver], int], driver: WebDriver, count: int) -> None:
     before, heard_s = 0, time.monotonic()
-    while (now := pushes(driver)) < count:
+    while (now := counted(driver)) < count:
         if now > before:
             before, heard_s = now, time.monotonic()
-        assert time.monotonic() - heard_s < PATIENCE_S, f"no view within a minute, after {now}"
+        assert time.monotonic() - heard_s < PATIENCE_S, (
+            f"{counted.__name__}: none within a minute, after {now}"
+        )
         time.sleep(0.2)
 
 

@@ -43,7 +43,7 @@ class QuickDaemon(ThreadingUnixStreamServer):
 
     def __init__(self, folder: Path, template: Sequence[TickRecord], looks_a_tick: int) -> None:
         self._history, self._template, self._looks_a_tick = folder / "history.db", template, looks_a_tick
-        self._lock, self._looks = threading.Lock(), 0
+        self._lock, self.looks = threading.Lock(), 0
         self.is_still = False  # then every look sees the same
         with closing(connect(self._history, 10.0)) as connection:
             self.first_seq = 1 + int(connection.execute("SELECT max(seq) FROM ticks").fetchone()[0])
@@ -56,8 +56,8 @@ class QuickDaemon(ThreadingUnixStreamServer):
             seq = self.record.seq
             return {"ok": True, "seq": seq, "lines": [f"At tick {seq}:", *LINES]}
         with self._lock:
-            self._looks += not self.is_still
-            looks, seq = self._looks, self.first_seq + self._looks // self._looks_a_tick
+            self.looks += not self.is_still
+            looks, seq = self.looks, self.first_seq + self.looks // self._looks_a_tick
             if seq != self.record.seq:
                 self.record = self._tick(seq)
                 self._store(self.record)
