@@ -72,12 +72,15 @@ def _do(settings: FleetSettings, engine: Engine, workers: int, dask: str | None)
     # Late: fits take 100 MB, which a process that waits for the night need not hold.
     from fleet.jobs.diagnosis_job import diagnose_changed
     from fleet.jobs.prior_job import renew_prior
+    from fleet.jobs.structure_job import fit_structures
 
     utc = time.time()
     found = diagnose_changed(engine, settings.numbers, utc, workers, dask)
     _say(f"diagnosis: of {len(found)} rigs whose twins disagree")
     for rig, finding in found:
         _say(f"diagnosis: {rig}: {finding.text}")
+    new, failed = fit_structures(engine, settings.numbers, utc, workers, dask)
+    _say(f"structures: {new} new fits of boxes to what others of their kind have told, {failed} failed")
     try:
         done = renew_prior(engine, utc)
     except DataError as error:

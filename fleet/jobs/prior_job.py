@@ -7,11 +7,11 @@ from sqlalchemy.orm import Session
 
 from edge.core.errors import DataError
 from edge.formats.reader import read
-from edge.twin.draws import correlations, uncertain
-from edge.twin.twin_file import twin_of
-from fleet.database.rigs import FleetRig
-from fleet.database.twins import Departure, KeptPrior, ToldTwin
-from fleet.priors.fleet_prior import BoxSheet, FleetPrior, fit_prior
+from fleet.database.twins import Departure, KeptPrior
+from fleet.jobs.structure_job import known_fits
+from fleet.jobs.told_sheets import told_sheets
+from fleet.priors.fleet_prior import FleetPrior, fit_prior
+from fleet.priors.kind_structure import in_kind_structure
 from fleet.priors.prior_document import PriorDocument, document_of, prior_of
 
 KEPT = 30  # priors
@@ -28,20 +28,13 @@ class RenewedPrior:
 
 def renew_prior(engine: Engine, utc: float) -> RenewedPrior:
     """Fit the prior anew and keep it. Errors: DataError where no rig has told a twin"""
-    with Session(engine) as session:
-        told = session.execute(select(ToldTwin, FleetRig.kind).join(FleetRig)).all()
-    sheets, unread = [], {}
-    for twin, kind in told:
-        try:
-            file = twin_of(twin.document)
-            correlations(file, tuple(uncertain(file)))
-            sheets.append(BoxSheet(twin.rig, kind, file))
-        except DataError as error:
-            unread[twin.rig] = str(error)
-    prior = fit_prior(sheets)
-    far = [(sheet.rig, one) for sheet in sheets for one in prior.far_values(sheet)]
+    told = told_sheets(engine)
+    shared = in_kind_structure(told.sheets, known_fits(engine, told))
+    prior = fit_prior(shared)
+    every = {sheet.rig: sheet for sheet in (*told.sheets, *shared)}
+    far = [(rig, one) for rig, sheet in every.items() for one in prior.far_values(sheet)]
     with Session(engine) as session, session.begin():
-        session.add(KeptPrior(utc=utc, boxes=len(sheets), document=document_of(prior)))
+        session.add(KeptPrior(utc=utc, boxes=len(every), document=document_of(prior)))
         older = select(KeptPrior.utc).order_by(KeptPrior.utc.desc()).offset(KEPT)
         session.execute(delete(KeptPrior).where(KeptPrior.utc.in_(session.scalars(older).all())))
         known = {(one.rig, one.effect, one.parameter): one for one in session.scalars(select(Departure))}
@@ -53,7 +46,7 @@ def renew_prior(engine: Engine, utc: float) -> RenewedPrior:
             row.ratio, row.spreads = one.ratio, one.spreads
         for row in known.values():  # it is like its kind again
             session.delete(row)
-    return RenewedPrior(len(sheets), len(far), unread)
+    return RenewedPrior(len(every), len(far), told.unread)
 
 
 def newest_prior(engine: Engine) -> FleetPrior:

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from edge.core.errors import DataError
 from edge.diagnosis.baselines import bare
 from edge.diagnosis.unknowns import with_usual
+from edge.twin.draws import uncertain
 from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 from fleet.priors.population import LEAST_SD, Population, ValuePrior, fit_population
-from fleet.priors.shared_structure import LEAST_SHARE, in_structure, possible
+from fleet.priors.shared_structure import LEAST_SHARE, OF_PLACE, in_structure, possible
 
 Floats = NDArray[np.float64]
 LIKELY = 0.5  # an effect that no more boxes of the kind have is not begun with: an hour hardly tells it
@@ -140,7 +141,7 @@ def _speakers(sheets: Sequence[BoxSheet], shares: dict[str, dict[str, float]]) -
     chosen = []
     for kind in sorted({sheet.kind for sheet in sheets}):
         mine, wanted = [sheet for sheet in sheets if sheet.kind == kind], {*_likely(shares[kind])}
-        alike = [sheet for sheet in mine if _common(wanted) <= _common(_effects(sheet.twin))]
+        alike = [sheet for sheet in mine if _common(wanted) <= _common(told_effects(sheet.twin))]
         chosen += alike or mine
     return chosen
 
@@ -171,13 +172,30 @@ def _missed_k(sheet: BoxSheet, parts: Sequence[str]) -> list[float]:
 @lru_cache(maxsize=KEPT_BOXES)
 def _shared_values(sheet: BoxSheet, names: tuple[str, ...]) -> dict[tuple[str, str], ValuePrior]:
     """Return the values of a box in the structure of its kind, as logarithms of shares of the usual."""
-    shared = in_structure(sheet.twin, bare(sheet.twin), names)
+    if {*sheet.twin.effects}.difference(OF_PLACE) == {*bare(sheet.twin).effects, *names}:
+        file, sds = sheet.twin, _own_sds(sheet.twin)
+    else:
+        shared = in_structure(sheet.twin, bare(sheet.twin), names)
+        file, sds = shared.file, shared.sds
     told = {}
-    for place in _places(shared.file):
-        share = shared.file.values()[place].value / shared.file.usual(place).start
-        sd = max(LEAST_SD, shared.sds[place])
+    for place in _places(file):
+        if place[1] in OF_PLACE:
+            continue
+        share = file.values()[place].value / file.usual(place).start
+        sd = max(LEAST_SD, sds.get(place, 0.0))
         told[place[1], place[2]] = ValuePrior(float(np.log(max(share, LEAST_SHARE))), sd)
     return told
+
+
+def _own_sds(file: TwinFile) -> dict[Place, float]:
+    """Return standard deviations of the logarithms of a twin's values, where it is not sure of them."""
+    return {
+        place: spread.sd
+        if spread.log
+        else spread.sd / max(spread.middle, LEAST_SHARE * file.usual(place).start)
+        for place, spread in uncertain(file).items()
+        if place[0] == "effects"
+    }
 
 
 def _places(file: TwinFile) -> Iterator[Place]:
@@ -198,7 +216,7 @@ def _shares(sheets: Sequence[BoxSheet]) -> dict[str, dict[str, float]]:
     A box counts by the inverse square of what its twin misses by over the rows that it was fitted to: one
     that misses twice as much as others of its kind lacks something, and does not know what.
     """
-    names, every = (*OF_BOX, *COUNTS), [_effects(sheet.twin) for sheet in sheets]
+    names, every = (*OF_BOX, *COUNTS), [told_effects(sheet.twin) for sheet in sheets]
     kinds = np.array([sheet.kind for sheet in sheets])
     counts = np.ones(len(sheets))
     for kind in {*kinds}:
@@ -225,6 +243,7 @@ def _counts(sheets: Sequence[BoxSheet]) -> Floats:
     return np.asarray(counts / counts.mean())
 
 
-def _effects(twin: TwinFile) -> set[str]:
+def told_effects(twin: TwinFile) -> set[str]:
+    """Return the effects of a twin, those that answer alike by one name, and how many of each group."""
     found = {SAME_ANSWER.get(name, name) for name in twin.effects}
     return found | _numbers(found)

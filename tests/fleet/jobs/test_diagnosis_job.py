@@ -1,36 +1,28 @@
 """Diagnoses of a night: a rig whose twin disagrees is diagnosed once, from what ingest has stored of it."""
 
-import json
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
+from stored_ticks import START, store
 
-from bench.support.mqtt_rig import record
 from bench.support.simulated_runs import BOX, simulate, twin_file
 from bench.support.victoria import Victoria, needs_victoria
-from edge.core.messages import Reading, ReadingQuality
-from edge.formats.run_file import RecordedRun
-from edge.formats.tick_json import tick_json
 from edge.twin.twin_file import twin_document
 from fleet.database.base import open_database
 from fleet.database.diagnoses import RigDiagnosis
 from fleet.database.events import RigEvent
 from fleet.database.rigs import FleetRig
 from fleet.database.twins import ToldTwin
-from fleet.ingest.tick import parse_tick
 from fleet.jobs.changes import changes
 from fleet.jobs.diagnosis_job import begun_disagreements, diagnose_changed
 from fleet.jobs.rig_run import rig_run
-from fleet.numbers.series import lines
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, FleetSettings, NumbersSettings
 
-START = 1.79e9
 HIDDEN = {"heater_lag": {"tau_h": 400.0}}
 
 
@@ -54,27 +46,6 @@ def tell(engine: Engine, key: str, seq: int, utc: float) -> None:
         event = RigEvent(rig="rig-1", history_id="h", seq=seq, number=0, utc=utc, key=key, severity="warning")
         event.text = f"{key} at {seq}"
         session.add(event)
-
-
-def store(numbers: Numbers, recorded: RecordedRun) -> None:
-    """Store a run as ingest stores the ticks of a rig that had it."""
-    text = []
-    for row in range(len(recorded)):
-        air, room, duty, fan = (
-            float(recorded.columns[name][row])
-            for name in ("temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
-        )
-        readings = {
-            name: Reading(name, value, 0.0, ReadingQuality.GOOD)
-            for name, value in (("temp_air", air), ("temp_ambient", room))
-        }
-        made = record(row + 1, utc=START + 60.0 * row, readings=readings)
-        assert made.echo is not None
-        made = replace(made, echo=replace(made.echo, heater_duty=duty, fan_on=bool(fan)))
-        payload = json.dumps({"history_id": "h", **tick_json(made)}).encode()
-        tick = parse_tick("rig-1", payload, 0.0, made.utc)
-        text.append(lines("rig-1", tick.utc, tick.samples))
-    numbers.store("".join(text))
 
 
 def test_a_rig_disagrees_until_its_twin_agrees_again(engine: Engine) -> None:
@@ -108,7 +79,7 @@ def test_what_is_missing_in_a_rigs_twin_is_named_once(
         DatabaseSettings(url=f"sqlite:///{tmp_path}/fleet.db"), NumbersSettings(url=victoria.url)
     )
     numbers = Numbers(settings.numbers)
-    store(numbers, recorded)
+    store(numbers, "rig-1", recorded)
     found = rig_run(numbers, "rig-1", START, START + 1e5)
     for name in ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on"):
         np.testing.assert_allclose(found.columns[name], recorded.columns[name], atol=1e-4)

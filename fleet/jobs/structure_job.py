@@ -1,0 +1,104 @@
+"""Fits of a night: boxes of a kind in each structure that one of them has told, from their numbers in store.
+
+A box is fitted once it has run for a day, and again when it has told another twin. Of a kind with many boxes
+some tell enough.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Engine, select
+from sqlalchemy.orm import Session
+
+from edge.core.errors import GreenhouseError
+from edge.core.sweep import sweep
+from edge.diagnosis.history_runs import history_runs
+from edge.twin.twin_file import twin_document, twin_of
+from fleet.database.rigs import FleetRig
+from fleet.database.structures import StructureFit
+from fleet.jobs.diagnosis_job import BEFORE_S, ROWS_MAX, begun_disagreements
+from fleet.jobs.rig_run import rig_run
+from fleet.jobs.told_sheets import ToldSheets, told_sheets
+from fleet.numbers.victoria import Numbers
+from fleet.priors.kind_structure import Fits, Structure, fit_structure, structures
+from fleet.settings import NumbersSettings
+
+DAY_S = 86400.0
+MOST_BOXES = 30  # of a kind; a fit takes half a minute
+
+
+@dataclass(frozen=True, slots=True)
+class FitJob:
+    """A box to fit. twin : that it has told; until_utc : now [s since 1970]"""
+
+    rig: str
+    twin: Mapping[str, Any]
+    structure: Structure
+    numbers: NumbersSettings
+    until_utc: float
+
+
+def fit_structures(
+    engine: Engine, numbers: NumbersSettings, utc: float, workers: int = 1, dask: str | None = None
+) -> tuple[int, int]:
+    """Fit what is not fitted yet and keep it.
+
+    Returns : number of new fits, and of those that could not be made
+    Errors : SweepError
+    """
+    told = told_sheets(engine)
+    jobs = list(_jobs(engine, told, numbers, utc))
+    found = sweep(carry_out, jobs, workers, dask)
+    fitted = [(job, document) for job, document in zip(jobs, found, strict=True) if document is not None]
+    with Session(engine) as session, session.begin():
+        for job, document in fitted:
+            own = StructureFit(rig=job.rig, structure=_text(job.structure), utc=utc, document=document)
+            own.told_sha256 = told.sha256[job.rig]
+            session.merge(own)
+    return len(fitted), len(jobs) - len(fitted)
+
+
+def carry_out(job: FitJob) -> dict[str, Any] | None:
+    """Fit one box; None where that cannot be done, which ends no other's and is tried again another night."""
+    try:
+        file = twin_of(job.twin)
+        run = rig_run(Numbers(job.numbers), job.rig, job.until_utc - BEFORE_S, job.until_utc)
+        runs = history_runs([run], file, source=job.rig, rows_max=ROWS_MAX)
+        return twin_document(fit_structure(file, runs, job.structure))
+    except GreenhouseError:
+        return None
+
+
+def known_fits(engine: Engine, told: ToldSheets) -> Fits:
+    """Return the fits of boxes that have told no other twin since."""
+    with Session(engine) as session:
+        return {
+            (one.rig, _structure(one.structure)): twin_of(one.document)
+            for one in session.scalars(select(StructureFit))
+            if told.sha256.get(one.rig) == one.told_sha256
+        }
+
+
+def _jobs(engine: Engine, told: ToldSheets, numbers: NumbersSettings, utc: float) -> Iterator[FitJob]:
+    with Session(engine) as session:
+        known = session.execute(select(StructureFit.rig, StructureFit.structure, StructureFit.told_sha256))
+        done = {(rig, _structure(text), sha256) for rig, text, sha256 in known}
+        have_run = set(session.scalars(select(FleetRig.name).where(FleetRig.first_utc <= utc - DAY_S)))
+        have_run -= begun_disagreements(session).keys()  # they are no longer what they were
+    for kind, wanted in structures(told.sheets).items():
+        boxes = [sheet for sheet in told.sheets if sheet.kind == kind and sheet.rig in have_run][:MOST_BOXES]
+        if len(boxes) < 2:
+            continue
+        for sheet in boxes:
+            for structure in wanted:
+                if (sheet.rig, structure, told.sha256[sheet.rig]) not in done:
+                    yield FitJob(sheet.rig, twin_document(sheet.twin), structure, numbers, utc)
+
+
+def _text(structure: Structure) -> str:
+    return "+".join(structure)
+
+
+def _structure(text: str) -> Structure:
+    return tuple(name for name in text.split("+") if name)

@@ -1,0 +1,94 @@
+"""One structure for all boxes of a kind, fitted to what each of them recorded.
+
+Diagnoses of boxes that are built alike do not name the same. One has soil where the next has a wall, and what
+one calls a constant heat another puts into its loss, so their values are not of the same things. Each
+structure that a box of the kind has told is therefore fitted to the recordings of all of them, and the
+simplest that follows all of them is the kind's.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from edge.diagnosis.baselines import bare
+from edge.diagnosis.diagnose import fitted_twin
+from edge.diagnosis.free_fit import fit_values, rms_k
+from edge.diagnosis.gap import errors, forecast
+from edge.diagnosis.noise_levels import first_levels
+from edge.diagnosis.prepare import prepare, with_rooms
+from edge.diagnosis.runs import DiagnosisRuns
+from edge.diagnosis.side_by_side import SideBySide
+from edge.diagnosis.unknowns import with_usual
+from edge.twin.provenance import provenance_numbers
+from edge.twin.twin_file import TwinFile
+from fleet.priors.fleet_prior import OF_BOX, BoxSheet, told_effects
+
+Structure = tuple[str, ...]
+Fits = Mapping[tuple[str, Structure], TwinFile]
+MOST = 6  # of a kind
+ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
+WORTH = 0.8  # times the miss without that heat: a box that misses less with it has it
+AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure is taken
+
+
+def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
+    """Return the structures that most boxes have told, by kind; of boxes without a kind none."""
+    found: dict[str, Counter[Structure]] = {}
+    for sheet in sheets:
+        if sheet.kind:
+            told = told_effects(sheet.twin)
+            found.setdefault(sheet.kind, Counter())[tuple(name for name in OF_BOX if name in told)] += 1
+    return {kind: sorted(name for name, _ in own.most_common(MOST)) for kind, own in found.items()}
+
+
+def fit_structure(box: TwinFile, data: DiagnosisRuns, names: Structure) -> TwinFile:
+    """Return a box's twin with these effects; its provenance tells what it misses by.
+
+    box : a twin of it, for its description; data : what it recorded; names : beside what every twin has
+    Errors : DataError for runs that nothing can be fitted to
+    """
+    file = bare(box)
+    for name in names:
+        file = with_usual(file, name)
+    plain, heated = (_fit(own, data) for own in (file, with_usual(file, ANY_HEAT)))
+    return heated if _miss_k(heated, "train") < WORTH * _miss_k(plain, "train") else plain
+
+
+def _fit(file: TwinFile, data: DiagnosisRuns) -> TwinFile:
+    prepared = prepare(file, data)
+    rooms = tuple(term for term in prepared.terms if term.of_room)
+    noise_k = first_levels(prepared.file, prepared.runs).sensor_k
+    (found,) = fit_values([prepared.file], rooms, prepared.runs, noise_k, SideBySide())
+    twin, known = fitted_twin(found), with_rooms(prepared, found.sizes)
+    ahead = [forecast(twin.twin(), run, known.room_of(run)) for run in data.test]
+    missed = {"train": {"rmse_k": rms_k(found, prepared.runs)}, "test": errors(ahead)}
+    after = {part: {"rmse_k": own["rmse_k"]} for part, own in missed.items() if own}
+    return replace(twin, provenance={**twin.provenance, "after": after})
+
+
+def _miss_k(twin: TwinFile, part: str) -> float:
+    return max(provenance_numbers(twin, "after", part, "rmse_k"), default=np.inf)
+
+
+def in_kind_structure(sheets: Sequence[BoxSheet], fits: Fits) -> list[BoxSheet]:
+    """Return the boxes of each kind with their twins in its structure; of a kind without fits as they are.
+
+    fits : by rig and structure; boxes count of which all structures of the kind are fitted
+    """
+    found, wanted = [], structures(sheets)
+    for kind in sorted({sheet.kind for sheet in sheets}):
+        mine, names = [sheet for sheet in sheets if sheet.kind == kind], wanted.get(kind, [])
+        fitted = [sheet for sheet in mine if all((sheet.rig, own) in fits for own in names)]
+        if names and fitted:
+            chosen = _best(names, [sheet.rig for sheet in fitted], fits)
+            mine = [replace(sheet, twin=fits[sheet.rig, chosen]) for sheet in fitted]
+        found += mine
+    return found
+
+
+def _best(names: Sequence[Structure], rigs: Sequence[str], fits: Fits) -> Structure:
+    missed = {own: np.mean([np.log(_miss_k(fits[rig, own], "train")) for rig in rigs]) for own in names}
+    good = [own for own in names if missed[own] <= min(missed.values()) + np.log(AS_GOOD)]
+    return min(good, key=lambda own: (len(own), missed[own]))

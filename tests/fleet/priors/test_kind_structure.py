@@ -1,0 +1,90 @@
+"""The structure of a kind: of several that its boxes told, the one that follows the recordings of all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.support.simulated_runs import BOX, simulate, twin_file
+from edge.diagnosis.history_runs import history_runs
+from edge.diagnosis.runs import DiagnosisRuns
+from edge.twin.provenance import provenance_numbers
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+from fleet.priors.fleet_prior import BoxSheet, fit_prior
+from fleet.priors.kind_structure import ANY_HEAT, Fits, fit_structure, in_kind_structure, structures
+
+LAG, SOIL = ("heater_lag",), ("soil_mass",)
+
+
+def told(rig: str, *names: str, kind: str = "tent", miss_k: float = 0.3) -> BoxSheet:
+    values = {"heater_lag": {"tau_h": Value(300.0)}, "soil_mass": {"C_s": Value(3e3), "G_s": Value(3.0)}}
+    effects = {"wall_loss": {"UA": Value(2.4)}, "extra_capacity": {"kC": Value(4.0)}}
+    effects |= {"fan_effectiveness": {"eps_f": Value(0.5)}}
+    effects |= {name: values[name] for name in names}
+    provenance = {"after": {"train": {"rmse_k": miss_k}}}
+    return BoxSheet(rig, kind, replace(twin_file(), effects=effects, provenance=provenance))
+
+
+def fits(misses_k: dict[tuple[str, tuple[str, ...]], float]) -> Fits:
+    return {(rig, names): told(rig, *names, miss_k=miss).twin for (rig, names), miss in misses_k.items()}
+
+
+def test_each_structure_that_was_told_is_one_of_its_kind() -> None:
+    sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", kind=""), told("d", kind="case")]
+    assert structures(sheets) == {"tent": [LAG, SOIL], "case": [()]}
+
+
+def test_the_structure_that_follows_all_boxes_is_the_kinds() -> None:
+    sheets = [told("a", "soil_mass"), told("b", "heater_lag"), told("c", "soil_mass")]
+    # Most have told soil, but a lag follows each of them better.
+    known = fits({(rig, LAG): 0.2 for rig in "abc"} | {(rig, SOIL): 0.4 for rig in "abc"})
+    shared = in_kind_structure(sheets, known)
+    assert [sheet.rig for sheet in shared] == ["a", "b", "c"]
+    assert all("heater_lag" in sheet.twin.effects for sheet in shared)
+    assert fit_prior(shared).structure("tent") == LAG
+
+
+def test_a_simpler_structure_that_is_nearly_as_good_is_taken() -> None:
+    sheets = [told("a", "heater_lag"), told("b", "heater_lag", "soil_mass")]
+    both = ("soil_mass", "heater_lag")
+    known = fits({(rig, LAG): 0.205 for rig in "ab"} | {(rig, both): 0.2 for rig in "ab"})
+    assert all("soil_mass" not in sheet.twin.effects for sheet in in_kind_structure(sheets, known))
+    known = fits({(rig, LAG): 0.25 for rig in "ab"} | {(rig, both): 0.2 for rig in "ab"})
+    assert all("soil_mass" in sheet.twin.effects for sheet in in_kind_structure(sheets, known))
+
+
+def test_boxes_that_were_not_fitted_tell_what_they_told() -> None:
+    sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "soil_mass", kind="case")]
+    assert in_kind_structure(sheets, {}) == [sheets[2], *sheets[:2]]
+    # Of a kind of which some are fitted the others tell nothing: their values are of other things.
+    known = fits({("a", LAG): 0.2, ("a", SOIL): 0.4})
+    assert [sheet.rig for sheet in in_kind_structure(sheets, known)] == ["c", "a"]
+
+
+def recorded(hidden: dict[str, dict[str, float]]) -> tuple[TwinFile, DiagnosisRuns]:
+    file = twin_file()
+    return file, history_runs([simulate({**BOX, **hidden}, 1, 360)], file)
+
+
+@pytest.mark.slow
+def test_values_in_a_structure_are_those_of_the_recording() -> None:
+    twin = fit_structure(*recorded({"heater_lag": {"tau_h": 400.0}}), LAG)
+    assert twin.effects["heater_lag"]["tau_h"].value == pytest.approx(400.0, rel=0.15)
+    assert ANY_HEAT not in twin.effects and twin.to_fit() == []
+    # No fit saw the test part, so the figure says how well its kind can be followed.
+    (train_k,), (test_k,) = (provenance_numbers(twin, "after", part, "rmse_k") for part in ("train", "test"))
+    assert 0.0 < train_k < 0.2 and 0.0 < test_k < 0.3
+
+
+@pytest.mark.slow
+def test_a_heat_of_its_place_is_no_loss_of_the_box() -> None:
+    hidden = {"heater_lag": {"tau_h": 400.0}, ANY_HEAT: {"P0": 10.0}}
+    twin = fit_structure(*recorded(hidden), LAG)
+    assert twin.effects[ANY_HEAT]["P0"].value == pytest.approx(10.0, rel=0.3)
+    assert twin.effects["wall_loss"]["UA"].value == pytest.approx(BOX["wall_loss"]["UA"], rel=0.15)
+    sheets = [BoxSheet(rig, "tent", twin) for rig in "ab"]
+    start = fit_prior(sheets).start(twin_file(), "tent")
+    assert ANY_HEAT not in start.effects
+    ua = start.effects["wall_loss"]["UA"]
+    assert np.isclose(ua.value, twin.effects["wall_loss"]["UA"].value, rtol=0.05)
