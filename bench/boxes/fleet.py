@@ -1,7 +1,8 @@
 """python -m bench.boxes.fleet: a new box learnt from an hour with the prior of its fleet, from six without.
 
 Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
-Every box was commissioned for six hours, has run for a day since, and tells the fleet the twin of both.
+Every box was commissioned for six hours, has run for a day since, and tells the fleet the twin of both. The
+fleet fits each structure that one has told to the data of all.
 Leave one out: to each in turn, as if it were new, the others of its design give a prior. Its twin is learnt
 from the first hour of its step tests with the prior, from that hour without, and from six hours without. One
 more of each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
@@ -35,12 +36,14 @@ from edge.core.errors import GreenhouseError
 from edge.core.sweep import add_arguments, sweep
 from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.history_runs import history_runs
+from edge.diagnosis.runs import DiagnosisRuns
 from edge.formats.reader import read_json
 from edge.formats.run_file import RecordedRun, absence_facts, cut, read_run, resample, write_run
 from edge.storage.runs import export_stretches
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from firmware_protocol.virtual_board.plant import Plant
 from fleet.priors.fleet_prior import BoxSheet, fit_prior
+from fleet.priors.kind_structure import Structure, fit_structure, in_kind_structure, structures
 from training.lab import InProcessBoard, Lab
 
 LITTLE_H, MUCH_H = 1.0, 6.0
@@ -127,10 +130,33 @@ def tell_fleet(out: Path, box: FleetBox) -> None:
     path = out / f"{box.name}.told.yaml"
     if path.exists():
         return
+    file, runs = _own_data(out, box)
+    write_twin_file(chosen_twin(diagnose(file, runs, quiet, "python -m bench.boxes.fleet"))[0], path)
+
+
+def _own_data(out: Path, box: FleetBox) -> tuple[TwinFile, DiagnosisRuns]:
     file = replace(box.start, sample_s=MINUTE_S)
     tests, day = (read_run(out / f"{box.name}.{name}.csv") for name in ("tests", "day"))
-    runs = history_runs([first_hours(tests, MUCH_H), day], file)
-    write_twin_file(chosen_twin(diagnose(file, runs, quiet, "python -m bench.boxes.fleet"))[0], path)
+    return file, history_runs([first_hours(tests, MUCH_H), day], file)
+
+
+def fit_box(out: Path, wanted: tuple[FleetBox, Structure]) -> None:
+    """Keep the twin of a box in a structure that one of its fleet has told."""
+    path = _fit_path(out, *wanted)
+    if not path.exists():
+        box, structure = wanted
+        file, runs = _own_data(out, box)
+        write_twin_file(fit_structure(file, runs, structure), path)
+
+
+def _fit_path(out: Path, box: FleetBox, structure: Structure) -> Path:
+    return out / f"{'+'.join((box.name, *structure))}.fit.yaml"
+
+
+def fits_wanted(out: Path, fleet: Sequence[FleetBox]) -> list[tuple[FleetBox, Structure]]:
+    """Return each box with each structure that its fleet has told."""
+    sheets = [*sheets_of(out, fleet).values()]
+    return [(box, name) for box in fleet for name in structures(sheets)[str(box.design)]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,10 +192,14 @@ def place_of(out: Path, fleet: Sequence[FleetBox]) -> Path:
 def give_starts(out: Path, fleet: Sequence[FleetBox], new: Sequence[FleetBox]) -> None:
     """Keep the twin from which each box starts, by the prior of all others."""
     sheets = sheets_of(out, fleet)
+    fits = {
+        (box.name, name): read_twin_file(_fit_path(out, box, name)) for box, name in fits_wanted(out, fleet)
+    }
     for box in new:
         path = place_of(out, fleet) / f"{box.name}.start.yaml"
         if not path.exists():
-            prior = fit_prior([sheet for other, sheet in sheets.items() if other != box])
+            others = [sheet for other, sheet in sheets.items() if other != box]
+            prior = fit_prior(in_kind_structure(others, fits))
             write_twin_file(prior.start(box.start, str(box.design)), path)
 
 
@@ -255,6 +285,7 @@ def measure(design: int, given: argparse.Namespace) -> list[NewBoxRow]:
     place_of(given.out, fleet).mkdir(parents=True, exist_ok=True)
     alone = sweep(partial(judge_alone, given.out), new, given.workers, given.dask)
     sweep(partial(tell_fleet, given.out), fleet, given.workers, given.dask)
+    sweep(partial(fit_box, given.out), fits_wanted(given.out, fleet), given.workers, given.dask)
     give_starts(given.out, fleet, new)
     in_fleet = sweep(partial(judge_in_fleet, given.out, fleet), new, given.workers, given.dask)
     return [*in_fleet, *(row for lot in alone for row in lot)]
