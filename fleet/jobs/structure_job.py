@@ -48,15 +48,20 @@ def fit_structures(
     Errors : SweepError
     """
     told = told_sheets(engine)
-    jobs = list(_jobs(engine, told, numbers, utc))
-    found = sweep(carry_out, jobs, workers, dask)
-    fitted = [(job, document) for job, document in zip(jobs, found, strict=True) if document is not None]
-    with Session(engine) as session, session.begin():
-        for job, document in fitted:
-            own = StructureFit(rig=job.rig, structure=_text(job.structure), utc=utc, document=document)
-            own.told_sha256 = told.sha256[job.rig]
-            session.merge(own)
-    return len(fitted), len(jobs) - len(fitted)
+    new = failed = 0
+    for jobs in _jobs(engine, told, numbers, utc):  # kept kind by kind, as a night may end in between
+        found = sweep(carry_out, jobs, workers, dask)
+        with Session(engine) as session, session.begin():
+            for job, document in zip(jobs, found, strict=True):
+                if document is not None:
+                    own = StructureFit(
+                        rig=job.rig, structure=_text(job.structure), utc=utc, document=document
+                    )
+                    own.told_sha256 = told.sha256[job.rig]
+                    session.merge(own)
+        new += sum(document is not None for document in found)
+        failed += sum(document is None for document in found)
+    return new, failed
 
 
 def carry_out(job: FitJob) -> dict[str, Any] | None:
@@ -80,7 +85,8 @@ def known_fits(engine: Engine, told: ToldSheets) -> Fits:
         }
 
 
-def _jobs(engine: Engine, told: ToldSheets, numbers: NumbersSettings, utc: float) -> Iterator[FitJob]:
+def _jobs(engine: Engine, told: ToldSheets, numbers: NumbersSettings, utc: float) -> Iterator[list[FitJob]]:
+    """Yield what is to be done of each kind."""
     with Session(engine) as session:
         known = session.execute(select(StructureFit.rig, StructureFit.structure, StructureFit.told_sha256))
         done = {(rig, _structure(text), sha256) for rig, text, sha256 in known}
@@ -88,12 +94,14 @@ def _jobs(engine: Engine, told: ToldSheets, numbers: NumbersSettings, utc: float
         have_run -= begun_disagreements(session).keys()  # they are no longer what they were
     for kind, wanted in structures(told.sheets).items():
         boxes = [sheet for sheet in told.sheets if sheet.kind == kind and sheet.rig in have_run][:MOST_BOXES]
-        if len(boxes) < 2:
-            continue
-        for sheet in boxes:
-            for structure in wanted:
-                if (sheet.rig, structure, told.sha256[sheet.rig]) not in done:
-                    yield FitJob(sheet.rig, twin_document(sheet.twin), structure, numbers, utc)
+        jobs = [
+            FitJob(sheet.rig, twin_document(sheet.twin), structure, numbers, utc)
+            for sheet in boxes
+            for structure in wanted
+            if (sheet.rig, structure, told.sha256[sheet.rig]) not in done
+        ]
+        if len(boxes) > 1 and jobs:
+            yield jobs
 
 
 def _text(structure: Structure) -> str:

@@ -23,13 +23,14 @@ from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.provenance import provenance_numbers
 from edge.twin.twin_file import TwinFile
-from fleet.priors.fleet_prior import OF_BOX, BoxSheet, told_effects
+from fleet.priors.fleet_prior import LEAST_MISS_K, OF_BOX, BoxSheet, told_effects
 
 Structure = tuple[str, ...]
 Fits = Mapping[tuple[str, Structure], TwinFile]
 MOST = 6  # of a kind
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
 WORTH = 0.8  # times the miss without that heat: a box that misses less with it has it
+FAR = 3.0  # times the least miss of a box
 AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure is taken
 
 
@@ -75,13 +76,16 @@ def _miss_k(twin: TwinFile, part: str) -> float:
 def in_kind_structure(sheets: Sequence[BoxSheet], fits: Fits) -> list[BoxSheet]:
     """Return the boxes of each kind with their twins in its structure; of a kind without fits as they are.
 
-    fits : by rig and structure; boxes count of which all structures of the kind are fitted
+    fits : by rig and structure; a structure in which fewer boxes could be fitted than in others is left out
     """
     found, wanted = [], structures(sheets)
     for kind in sorted({sheet.kind for sheet in sheets}):
-        mine, names = [sheet for sheet in sheets if sheet.kind == kind], wanted.get(kind, [])
-        fitted = [sheet for sheet in mine if all((sheet.rig, own) in fits for own in names)]
-        if names and fitted:
+        mine = [sheet for sheet in sheets if sheet.kind == kind]
+        known = {own: [s for s in mine if (s.rig, own) in fits] for own in wanted.get(kind, [])}
+        most = max(map(len, known.values()), default=0)
+        names = [own for own, boxes in known.items() if most and len(boxes) == most]
+        fitted = [sheet for sheet in mine if names and all(sheet in known[own] for own in names)]
+        if fitted:
             chosen = _best(names, [sheet.rig for sheet in fitted], fits)
             mine = [replace(sheet, twin=fits[sheet.rig, chosen]) for sheet in fitted]
         found += mine
@@ -89,6 +93,9 @@ def in_kind_structure(sheets: Sequence[BoxSheet], fits: Fits) -> list[BoxSheet]:
 
 
 def _best(names: Sequence[Structure], rigs: Sequence[str], fits: Fits) -> Structure:
-    missed = {own: np.mean([np.log(_miss_k(fits[rig, own], "train")) for rig in rigs]) for own in names}
-    good = [own for own in names if missed[own] <= min(missed.values()) + np.log(AS_GOOD)]
-    return min(good, key=lambda own: (len(own), missed[own]))
+    missed = {own: np.array([_miss_k(fits[rig, own], "train") for rig in rigs]) for own in names}
+    least = np.maximum(np.min([*missed.values()], axis=0), LEAST_MISS_K)
+    # No box counts beyond that: one whose readings are made up may follow its own structure exactly.
+    beside = {own: np.log(np.clip(one / least, 1.0, FAR)).mean() for own, one in missed.items()}
+    good = [own for own in names if beside[own] <= min(beside.values()) + np.log(AS_GOOD)]
+    return min(good, key=lambda own: (len(own), beside[own]))

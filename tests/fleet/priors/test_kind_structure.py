@@ -62,6 +62,21 @@ def test_boxes_that_were_not_fitted_tell_what_they_told() -> None:
     assert [sheet.rig for sheet in in_kind_structure(sheets, known)] == ["c", "a"]
 
 
+def test_a_structure_that_cannot_be_fitted_is_in_nobodys_way() -> None:
+    sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag", "soil_mass")]
+    known = fits({(rig, LAG): 0.2 for rig in "abc"} | {(rig, SOIL): 0.4 for rig in "abc"})
+    assert all({*sheet.twin.effects} >= {*LAG} for sheet in in_kind_structure(sheets, known))
+    assert len(in_kind_structure(sheets, known)) == 3
+
+
+@pytest.mark.parametrize("miss_k", [1e-9, np.inf])
+def test_a_box_with_readings_that_are_made_up_outvotes_no_three(miss_k: float) -> None:
+    sheets = [*(told(rig, "heater_lag") for rig in "abc"), told("liar", "soil_mass")]
+    known = {(rig, LAG): 0.2 for rig in "abc"} | {(rig, SOIL): 0.4 for rig in "abc"}
+    known |= {("liar", LAG): max(miss_k, 0.2), ("liar", SOIL): min(miss_k, 0.1)}
+    assert all("heater_lag" in sheet.twin.effects for sheet in in_kind_structure(sheets, fits(known)))
+
+
 def recorded(hidden: dict[str, dict[str, float]]) -> tuple[TwinFile, DiagnosisRuns]:
     file = twin_file()
     return file, history_runs([simulate({**BOX, **hidden}, 1, 360)], file)
