@@ -30,6 +30,7 @@ Fits = Mapping[tuple[str, Structure], TwinFile]
 MOST = 6  # of a kind
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
 WORTH = 0.8  # times the miss without that heat: a box that misses less with it has it
+LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
 AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure is taken
 
@@ -76,20 +77,28 @@ def _miss_k(twin: TwinFile, part: str) -> float:
 def in_kind_structure(sheets: Sequence[BoxSheet], fits: Fits) -> list[BoxSheet]:
     """Return the boxes of each kind with their twins in its structure; of a kind without fits as they are.
 
-    fits : by rig and structure; a structure in which fewer boxes could be fitted than in others is left out
+    fits : by rig and structure
     """
     found, wanted = [], structures(sheets)
     for kind in sorted({sheet.kind for sheet in sheets}):
         mine = [sheet for sheet in sheets if sheet.kind == kind]
-        known = {own: [s for s in mine if (s.rig, own) in fits] for own in wanted.get(kind, [])}
-        most = max(map(len, known.values()), default=0)
-        names = [own for own, boxes in known.items() if most and len(boxes) == most]
-        fitted = [sheet for sheet in mine if names and all(sheet in known[own] for own in names)]
-        if fitted:
-            chosen = _best(names, [sheet.rig for sheet in fitted], fits)
-            mine = [replace(sheet, twin=fits[sheet.rig, chosen]) for sheet in fitted]
+        chosen = _chosen(wanted.get(kind, []), [sheet.rig for sheet in mine], fits)
+        if chosen is not None:
+            mine = [
+                replace(sheet, twin=fits[sheet.rig, chosen]) for sheet in mine if (sheet.rig, chosen) in fits
+            ]
         found += mine
     return found
+
+
+def _chosen(names: Sequence[Structure], rigs: Sequence[str], fits: Fits) -> Structure | None:
+    """Return the structure of a kind; None where too few of its boxes can be compared."""
+    known = {own: [rig for rig in rigs if (rig, own) in fits] for own in names}
+    most = max(map(len, known.values()), default=0)
+    # One that hardly any box could be fitted in is in nobody's way.
+    names = [own for own, fitted in known.items() if fitted and len(fitted) >= most / 2]
+    compared = [rig for rig in rigs if names and all((rig, own) in fits for own in names)]
+    return _best(names, compared, fits) if len(compared) >= min(LEAST_BOXES, len(rigs)) else None
 
 
 def _best(names: Sequence[Structure], rigs: Sequence[str], fits: Fits) -> Structure:

@@ -57,9 +57,22 @@ def test_a_simpler_structure_that_is_nearly_as_good_is_taken() -> None:
 def test_boxes_that_were_not_fitted_tell_what_they_told() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "soil_mass", kind="case")]
     assert in_kind_structure(sheets, {}) == [sheets[2], *sheets[:2]]
+    # One alone is nothing to compare with.
+    known = {("a", LAG): 0.2, ("a", SOIL): 0.4}
+    assert in_kind_structure(sheets, fits(known)) == [sheets[2], *sheets[:2]]
     # Of a kind of which some are fitted the others tell nothing: their values are of other things.
-    known = fits({("a", LAG): 0.2, ("a", SOIL): 0.4})
-    assert [sheet.rig for sheet in in_kind_structure(sheets, known)] == ["c", "a"]
+    sheets.append(told("d", "soil_mass"))
+    known |= {("d", LAG): 0.2, ("d", SOIL): 0.4}
+    shared = in_kind_structure(sheets, fits(known))
+    assert [(sheet.rig, "heater_lag" in sheet.twin.effects) for sheet in shared] == [
+        ("c", False), ("a", True), ("d", True),
+    ]  # fmt: skip
+
+
+def test_a_box_that_was_fitted_before_another_structure_was_told_tells_its_values() -> None:
+    sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag")]
+    known = {(rig, LAG): 0.2 for rig in "abc"} | {(rig, SOIL): 0.4 for rig in "ab"}
+    assert [sheet.rig for sheet in in_kind_structure(sheets, fits(known))] == ["a", "b", "c"]
 
 
 def test_a_structure_that_cannot_be_fitted_is_in_nobodys_way() -> None:
