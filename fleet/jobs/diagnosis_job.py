@@ -12,18 +12,15 @@ from edge.core.errors import GreenhouseError
 from edge.core.plain_text import plain
 from edge.core.sweep import sweep
 from edge.diagnosis.diagnose import diagnose
-from edge.diagnosis.history_runs import history_runs
 from edge.twin.twin_file import twin_of
 from fleet.database.diagnoses import RigDiagnosis
 from fleet.database.events import RigEvent
 from fleet.database.twins import ToldTwin
-from fleet.jobs.rig_run import rig_run
-from fleet.numbers.victoria import Numbers
+from fleet.jobs.rig_run import runs_to_fit
 from fleet.settings import NumbersSettings
 
 DISAGREES, AGREES = "twin.disagrees", "twin.agrees_again"  # keys of a rig's events
 BEFORE_S = 7 * 86400.0  # of a run: it must have seen the box that the twin still fitted
-ROWS_MAX = 6000  # the newest; a day takes a minute or two
 FAILED = "failed"
 
 
@@ -68,8 +65,7 @@ def carry_out(job: DiagnosisJob) -> DiagnosisFinding:
     """Diagnose one rig from what is in store; a rig that cannot be diagnosed ends no other's."""
     try:
         file = twin_of(job.twin)
-        run = rig_run(Numbers(job.numbers), job.rig, job.since_utc - BEFORE_S, job.until_utc)
-        runs = history_runs([run], file, source=job.rig, rows_max=ROWS_MAX)
+        runs = runs_to_fit(job.numbers, job.rig, file, job.since_utc - BEFORE_S, job.until_utc)
         found = diagnose(file, runs, lambda text, share: None, "greenhouse fleet work")
     except GreenhouseError as error:
         return DiagnosisFinding(FAILED, f"no diagnosis: {plain(str(error), 400)}")

@@ -1,4 +1,4 @@
-"""Ticks of a rig in VictoriaMetrics as a run, with the columns of `greenhouse export`."""
+"""Ticks of a rig in VictoriaMetrics as a run, with the columns of `greenhouse export`, and as runs to fit."""
 
 from datetime import UTC, datetime
 from pathlib import Path
@@ -8,16 +8,32 @@ import numpy as np
 from edge.core.errors import DataError
 from edge.core.messages import ReadingQuality
 from edge.core.names import SIGNALS
+from edge.diagnosis.history_runs import history_runs
+from edge.diagnosis.runs import DiagnosisRuns
 from edge.formats.run_file import RecordedRun
+from edge.twin.twin_file import TwinFile
 from fleet.ingest.tick import QUALITIES
 from fleet.numbers.series import PREFIX, SEQ, any_of
 from fleet.numbers.victoria import Numbers
+from fleet.settings import NumbersSettings
 
 INPUTS = {"heater_duty": "echo_heater_duty", "fan_on": "echo_fan_on", "led": "echo_led"}
 KEYS = tuple(signal.key for signal in SIGNALS.values())
 AIR = SIGNALS["temp_air"].key  # a column of every run
 GOOD = QUALITIES[ReadingQuality.GOOD.value]
+ROWS_MAX = 6000  # the newest; to diagnose a day takes a minute or two
 Samples = dict[float, float]  # utc -> value
+
+
+def runs_to_fit(
+    numbers: NumbersSettings, rig: str, twin: TwinFile, since_utc: float, until_utc: float
+) -> DiagnosisRuns:
+    """Return the ticks of a rig in this time, the newest part as test runs.
+
+    Errors : DataError where there are none or too few, NumbersError
+    """
+    run = rig_run(Numbers(numbers), rig, since_utc, until_utc)
+    return history_runs([run], twin, source=rig, rows_max=ROWS_MAX)
 
 
 def rig_run(numbers: Numbers, rig: str, since_utc: float, until_utc: float) -> RecordedRun:

@@ -13,19 +13,17 @@ from sqlalchemy.orm import Session
 
 from edge.core.errors import GreenhouseError
 from edge.core.sweep import sweep
-from edge.diagnosis.history_runs import history_runs
 from edge.twin.twin_file import twin_document, twin_of
 from fleet.database.rigs import FleetRig
 from fleet.database.structures import StructureFit
-from fleet.jobs.diagnosis_job import BEFORE_S, ROWS_MAX, begun_disagreements
-from fleet.jobs.rig_run import rig_run
+from fleet.jobs.diagnosis_job import begun_disagreements
+from fleet.jobs.rig_run import runs_to_fit
 from fleet.jobs.told_sheets import ToldSheets, told_sheets
-from fleet.numbers.victoria import Numbers
 from fleet.priors.kind_structure import Fits, Structure, fit_structure, structures
 from fleet.settings import NumbersSettings
 
-DAY_S = 86400.0
-MOST_BOXES = 30  # of a kind; a fit takes half a minute
+DAY_S, WEEK_S = 86_400.0, 7 * 86_400.0
+MOST_BOXES = 30  # of a kind; a box takes half a minute of a core for each structure
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +66,7 @@ def carry_out(job: FitJob) -> dict[str, Any] | None:
     """Fit one box; None where that cannot be done, which ends no other's and is tried again another night."""
     try:
         file = twin_of(job.twin)
-        run = rig_run(Numbers(job.numbers), job.rig, job.until_utc - BEFORE_S, job.until_utc)
-        runs = history_runs([run], file, source=job.rig, rows_max=ROWS_MAX)
+        runs = runs_to_fit(job.numbers, job.rig, file, job.until_utc - WEEK_S, job.until_utc)
         return twin_document(fit_structure(file, runs, job.structure))
     except GreenhouseError:
         return None

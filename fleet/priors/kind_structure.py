@@ -27,8 +27,9 @@ from fleet.priors.fleet_prior import LEAST_MISS_K, OF_BOX, BoxSheet, told_effect
 
 Structure = tuple[str, ...]
 Fits = Mapping[tuple[str, Structure], TwinFile]
-MOST = 6  # of a kind
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
+MOST = 6  # structures of a kind, as each is fitted to every box
+# WORTH and AS_GOOD were found on a development design, 507 (docs/measured/fleet.md).
 WORTH = 0.8  # times the miss without that heat: a box that misses less with it has it
 LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
