@@ -43,7 +43,6 @@ TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
 # cost 0.4 and 0.8 times those of the paper's MPC (docs/measured/control.md).
 ERROR_MAX_K, ERROR_MAX_SHARE = 2.0, 0.15
 BETTER, FAR_BETTER = 0.8, 0.5  # shares of the twin's error: a simple model is told, or taken in its place
-UNLIKE = 2.0  # times what twins of a kind usually miss by: a box that does is not of the kind
 BY_SEARCH = ("added", "after", CORRELATION)  # of a provenance; not true of a baseline
 SEEN_MIN_K = 2.0  # that the air must have risen
 PROMISED_SHARE = 0.5  # of what a fleet's start says that it moves in these tests, where that is less
@@ -104,11 +103,7 @@ def learn(
     Errors : RequestError for a box that did not answer, DataError for a run that nothing can be fitted to
     """
     found = _learn(run, start, control, progress, jobs)
-    error_k = math.inf if found is None else found.expectation.error_k
-    if found is not None and (PRIOR not in start.provenance or error_k <= UNLIKE * usual_miss_k(start)):
-        return found
-    alone = learn(run, bare(start), control, progress, jobs)
-    return alone if found is None or not error_k < FAR_BETTER * alone.expectation.error_k else found
+    return found or learn(run, bare(start), control, progress, jobs)
 
 
 def _learn(
@@ -158,7 +153,7 @@ def _learn(
     hours = len(run) * STEP_S / 3600.0
     seen_c = float(np.nanmax(run.columns["temp_air_c"]))
     expectation = _expect(twin, room_c, error_k, hours, seen_c)
-    refusals = (*_refusals(error_k, limit_k), *implausible(chosen))
+    refusals = (*_refusals(error_k, limit_k, PRIOR in chosen.provenance), *implausible(chosen))
     if found.inputs.guessed:
         try:
             twin = with_room_error(twin, control.ambient_default_c, room_c)
@@ -199,13 +194,13 @@ def usual_miss_k(file: TwinFile) -> float:
 def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFile, float]:
     """Return the twin that was found, or a simpler one, and the error of its free run over the held-out rows.
 
-    What was fitted about a fleet's start is taken as long as it misses by no more than twins of its kind: an
-    hour tells nothing against what it adds. A baseline is taken if it halves the error, or is clearly better
+    What was fitted about a fleet's start is taken, as it is of its kind: that a twin without one follows an
+    hour more closely tells little of a day. A baseline is taken if it halves the error, or is clearly better
     where the other is refused. It may lack the lag of heater or sensor, and a plan without that swings, which
     a free run does not show.
     """
     given, before_k = found.inputs.file, found.test_k.get("before", math.inf)
-    if before_k <= UNLIKE * usual_miss_k(given):
+    if PRIOR in given.provenance:
         return _instead(found, given, before_k), before_k
     error_k, twins = found.test_k.get("after", math.nan), found.simple_twins
     simple = {name: error for name, error in found.test_k.items() if name in twins}
@@ -230,12 +225,12 @@ def better_model(found: Diagnosis, error_k: float) -> tuple[str, float] | None:
     return (best, simple[best]) if best and simple[best] < BETTER * error_k else None
 
 
-def _refusals(error_k: float, limit_k: float) -> Iterator[str]:
+def _refusals(error_k: float, limit_k: float, is_of_kind: bool) -> Iterator[str]:
     if not error_k <= limit_k:
         yield (
             f"over {TEST_SHARE:.0%} of the tests, which no fit saw, the twin is off by "
             f"{error_k:.2f} K, more than {limit_k:.2f} K"
-        )
+        ) + ("; its values are its kind's: did the sun or a draught come? test again without" * is_of_kind)
 
 
 def _least_move_k(run: RecordedRun, start: TwinFile) -> float:

@@ -3,7 +3,8 @@
 An hour of a box that its twin could follow would tell each value. No twin can: the sun comes and a room
 stirs, and what warms unevenly has no place in it. A fit that knows of no such error finds it in a loss or in
 a slow mass, and is sure of it. So the reading may drift from what the twin says, by as much as twins of the
-kind miss by (Kennedy and O'Hagan 2001, J. Royal Statistical Society B 63: model inadequacy).
+kind miss by (Kennedy and O'Hagan 2001, J. Royal Statistical Society B 63: model inadequacy). An hour that is
+missed by more than that had something in it that days of other boxes had not, and counts for less.
 """
 
 from dataclasses import replace
@@ -13,20 +14,22 @@ from numpy.typing import NDArray
 
 from edge.diagnosis.diagnose import fitted_twin
 from edge.diagnosis.fitting import fit
-from edge.diagnosis.free_fit import FINELY, fit_values
+from edge.diagnosis.free_fit import FINELY, fit_values, free_levels, rms_k
 from edge.diagnosis.noise_levels import first_levels
 from edge.diagnosis.prepare import PreparedRuns
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin, SizedTerm
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 
 Floats = NDArray[np.float64]
-# These and WIDER were found on development boxes (docs/measured/fleet.md).
+# These, WIDER and DOUBT were found on development boxes (docs/measured/fleet.md).
 USUAL_MISS_K = 0.3  # where the fleet does not tell what twins of the kind miss by
 DRIFT_TAU_S = 600.0  # over which errors go together
 DRIFT_SHARE = 0.95  # of the drift's variance that its terms hold
 MOST_POINTS, MOST_TERMS = 360, 30  # of a run: more cost time in tests of a day and tell nothing
 WIDER = 3.0  # times the spread of its kind: a box that this suits better is of another
+DOUBT = 2.0  # power of what an hour is missed by, in usual misses, by which it counts less
 BETTER_NATS = 1.0  # positive evidence (Kass and Raftery 1995, JASA 90)
 
 
@@ -41,9 +44,23 @@ def fit_about(prepared: PreparedRuns, miss_k: float) -> TwinFile | None:
     rooms = tuple(term for term in prepared.terms if term.of_room)
     terms = (*rooms, *drifts(runs.duty.shape, file.sample_s, miss_k))
     (found,) = fit_values([file], terms, runs, first_levels(file, runs).sensor_k, SideBySide())
+    found = _fit_with_doubt(found, file, runs, miss_k)
     wide = tuple(replace(item, sd=WIDER * item.sd) for item in found.free)
     (unlike,) = fit([replace(found.trial, file=found.file, free=wide)], runs, FINELY)
     return None if _evidence(unlike) > _evidence(found) + BETTER_NATS else fitted_twin(found)
+
+
+def _fit_with_doubt(found: FittedTwin, file: TwinFile, runs: RunBatch, miss_k: float) -> FittedTwin:
+    """Return a fit to runs that count less, where its free run misses them by more than its kind's do.
+
+    file : what it was fitted from
+    """
+    beyond = rms_k(found, runs) / miss_k
+    if beyond <= 1.0:
+        return found
+    levels = free_levels(found.trial.levels.sensor_k * beyond**DOUBT)
+    begins = [replace(found.trial, file=one, free=found.free, levels=levels) for one in (found.file, file)]
+    return max(fit(begins, runs, FINELY), key=lambda one: one.log_likelihood)
 
 
 def _evidence(found: FittedTwin) -> float:

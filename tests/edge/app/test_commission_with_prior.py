@@ -79,6 +79,18 @@ def test_a_box_that_is_unlike_its_kind_has_no_prior_in_its_twin() -> None:
     assert not found.twin.to_fit()
 
 
+def test_a_box_that_is_followed_badly_is_of_its_kind_as_long_as_its_values_are() -> None:
+    """As by the sun that comes out: what warms a box is no sign that it is built otherwise."""
+    run = an_hour(4.6)
+    warmth = np.interp(np.arange(len(run)), [0.75 * len(run), len(run)], [0.0, 1.2])
+    sunny = replace(run, columns={**run.columns, "temp_air_c": run.columns["temp_air_c"] + warmth})
+    found = learn(sunny, start_of_kind(4.4), ControlSettings(), silent)
+    assert found.expectation.error_k > 2.5 * 0.2  # what twins of its kind usually miss by
+    assert PRIOR in found.twin.provenance
+    assert found.twin.effects["wall_loss"]["UA"].value == pytest.approx(4.6, rel=0.1)
+    assert not found.refusals
+
+
 def test_the_last_of_an_hour_may_show_that_a_box_is_unlike_its_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a fit that finds it so, once it has every row: an hour that shows it so late is hard to make."""
     rows: list[int] = []
