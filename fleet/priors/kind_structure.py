@@ -2,15 +2,18 @@
 
 Diagnoses of boxes that are built alike do not name the same. One has soil where the next has a wall, and what
 one calls a constant heat another puts into its loss, so their values are not of the same things. Each
-structure that a box of the kind has told is therefore fitted to the recordings of all of them, and the
-simplest that follows all of them is the kind's.
+structure that a box of the kind has told is therefore fitted to the recordings of all of them, and some that
+join what two have told. The kind's is the simplest of those that follow all boxes and let expect of each what
+the others have: with values that are far apart, or a heat that each box needs, a new box is told nothing.
 """
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.diagnosis.baselines import bare
 from edge.diagnosis.diagnose import fitted_twin
@@ -23,27 +26,39 @@ from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.provenance import provenance_numbers
 from edge.twin.twin_file import TwinFile
-from fleet.priors.fleet_prior import LEAST_MISS_K, OF_BOX, BoxSheet, told_effects
+from fleet.priors.fleet_prior import LEAST_MISS_K, OF_BOX, BoxSheet, fit_prior, told_effects
+from fleet.priors.shared_structure import answer
 
+Floats = NDArray[np.float64]
 Structure = tuple[str, ...]
 Fits = Mapping[tuple[str, Structure], TwinFile]
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
-MOST = 6  # structures of a kind, as each is fitted to every box
-# WORTH and AS_GOOD were found on a development design, 507 (docs/measured/fleet.md).
+MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to every box
+# WORTH and AS_GOOD were found on a development design, 507, LEFT on three more (docs/measured/fleet.md).
 WORTH = 0.8  # times the miss without that heat: a box that misses less with it has it
 LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
+LEFT = 0.3  # of what a box differs by from what its kind lets expect, after an hour of its own
 AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure is taken
 
 
 def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
-    """Return the structures that most boxes have told, by kind; of boxes without a kind none."""
+    """Return the structures to fit, by kind: those told most often and unions of two, the simplest ones.
+
+    Of boxes without a kind none.
+    """
     found: dict[str, Counter[Structure]] = {}
     for sheet in sheets:
         if sheet.kind:
             told = told_effects(sheet.twin)
             found.setdefault(sheet.kind, Counter())[tuple(name for name in OF_BOX if name in told)] += 1
-    return {kind: sorted(name for name, _ in own.most_common(MOST)) for kind, own in found.items()}
+    return {kind: _with_joined(own) for kind, own in found.items()}
+
+
+def _with_joined(told: Counter[Structure]) -> list[Structure]:
+    most = [own for own, _ in told.most_common(MOST_TOLD)]
+    joined = {tuple(name for name in OF_BOX if name in {*a, *b}) for a, b in combinations(most, 2)} - {*most}
+    return sorted([*most, *sorted(joined, key=lambda own: (len(own), own))[:MOST_JOINED]])
 
 
 def fit_structure(box: TwinFile, data: DiagnosisRuns, names: Structure) -> TwinFile:
@@ -103,9 +118,30 @@ def _chosen(names: Sequence[Structure], rigs: Sequence[str], fits: Fits) -> Stru
 
 
 def _best(names: Sequence[Structure], rigs: Sequence[str], fits: Fits) -> Structure:
-    missed = {own: np.array([_miss_k(fits[rig, own], "train") for rig in rigs]) for own in names}
+    missed = {own: _to_miss_k([fits[rig, own] for rig in rigs]) for own in names}
     least = np.maximum(np.min([*missed.values()], axis=0), LEAST_MISS_K)
     # No box counts beyond that: one whose readings are made up may follow its own structure exactly.
     beside = {own: np.log(np.clip(one / least, 1.0, FAR)).mean() for own, one in missed.items()}
     good = [own for own in names if beside[own] <= min(beside.values()) + np.log(AS_GOOD)]
     return min(good, key=lambda own: (len(own), beside[own]))
+
+
+def _to_miss_k(twins: Sequence[TwinFile]) -> Floats:
+    """Return what each box would miss by if it were new: as its fit does, and as it is unlike the others."""
+    return np.hypot([_miss_k(twin, "train") for twin in twins], LEFT * _unlike_k(twins))
+
+
+def _unlike_k(twins: Sequence[TwinFile]) -> Floats:
+    """How far the answer of each is from what the others let expect, RMS, [n]; 0 for one alone [K].
+
+    A heat of its place counts as far as it goes: a new box does not have it from its kind.
+    """
+    if len(twins) < 2:
+        return np.zeros(len(twins))
+    sheets = [BoxSheet(str(i), "one", twin) for i, twin in enumerate(twins)]
+    expected = [
+        fit_prior([other for other in sheets if other is not sheet]).start(bare(sheet.twin), sheet.kind)
+        for sheet in sheets
+    ]
+    apart = [answer(twin, ()).temp - answer(own, ()).temp for twin, own in zip(twins, expected, strict=True)]
+    return np.array([np.nan_to_num(np.sqrt(np.mean(off**2)), nan=np.inf) for off in apart])

@@ -121,9 +121,9 @@ def _sds(twin: TwinFile, fitted: FittedTwin) -> dict[Place, float]:
     }
 
 
-def answer(twin: TwinFile) -> RunBatch:
-    """Return the course and the twin's answer to it, at a room of ROOM_C, without what is of its place."""
-    kept = {name: own for name, own in twin.effects.items() if name not in OF_PLACE}
+def answer(twin: TwinFile, without: Sequence[str] = OF_PLACE) -> RunBatch:
+    """Return the course and the twin's answer to it, at a room of ROOM_C, without these effects."""
+    kept = {name: own for name, own in twin.effects.items() if name not in without}
     box = replace(twin, effects=kept).twin()
     duty = np.repeat([share for share, _ in LEGS], [rows for _, rows in LEGS])[None]
     second = np.repeat([i % 2 for i in range(len(LEGS))], [rows for _, rows in LEGS])

@@ -8,20 +8,29 @@ import pytest
 from bench.support.simulated_runs import BOX, simulate, twin_file
 from edge.diagnosis.history_runs import history_runs
 from edge.diagnosis.runs import DiagnosisRuns
+from edge.diagnosis.unknowns import settle, with_usual
 from edge.twin.provenance import provenance_numbers
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from fleet.priors.fleet_prior import BoxSheet, fit_prior
-from fleet.priors.kind_structure import ANY_HEAT, Fits, fit_structure, in_kind_structure, structures
+from fleet.priors.kind_structure import (
+    ANY_HEAT,
+    MOST_JOINED,
+    Fits,
+    fit_structure,
+    in_kind_structure,
+    structures,
+)
 
-LAG, SOIL = ("heater_lag",), ("soil_mass",)
+LAG, SOIL, BOTH = ("heater_lag",), ("soil_mass",), ("soil_mass", "heater_lag")
 
 
 def told(rig: str, *names: str, kind: str = "tent", miss_k: float = 0.3) -> BoxSheet:
     values = {"heater_lag": {"tau_h": Value(300.0)}, "soil_mass": {"C_s": Value(3e3), "G_s": Value(3.0)}}
     effects = {"wall_loss": {"UA": Value(2.4)}, "extra_capacity": {"kC": Value(4.0)}}
     effects |= {"fan_effectiveness": {"eps_f": Value(0.5)}}
-    effects |= {name: values[name] for name in names}
+    usual = {name: settle(with_usual(twin_file(), name)).effects[name] for name in names}
+    effects |= {**usual, **{name: values[name] for name in names if name in values}}
     provenance = {"after": {"train": {"rmse_k": miss_k}}}
     return BoxSheet(rig, kind, replace(twin_file(), effects=effects, provenance=provenance))
 
@@ -30,9 +39,19 @@ def fits(misses_k: dict[tuple[str, tuple[str, ...]], float]) -> Fits:
     return {(rig, names): told(rig, *names, miss_k=miss).twin for (rig, names), miss in misses_k.items()}
 
 
-def test_each_structure_that_was_told_is_one_of_its_kind() -> None:
+def test_each_structure_that_was_told_is_one_of_its_kind_and_so_is_what_two_have_told_together() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", kind=""), told("d", kind="case")]
-    assert structures(sheets) == {"tent": [LAG, SOIL], "case": [()]}
+    assert structures(sheets) == {"tent": [LAG, SOIL, BOTH], "case": [()]}
+
+
+def test_of_many_that_were_told_the_simplest_are_joined() -> None:
+    names = ("heater_lag", "soil_mass", "heater_sag", "fan_spinup", "sensor_lag", "heater_derating")
+    sheets = [told(name, name) for name in names]
+    sheets += [told(f"{name} again", name) for name in names]
+    sheets.append(told("once", "imperfect_mixing", "heater_lag"))
+    wanted = structures(sheets)["tent"]
+    assert {(name,) for name in names} <= {*wanted}
+    assert [len(own) for own in wanted if len(own) > 1] == [2] * MOST_JOINED
 
 
 def test_the_structure_that_follows_all_boxes_is_the_kinds() -> None:
@@ -47,11 +66,34 @@ def test_the_structure_that_follows_all_boxes_is_the_kinds() -> None:
 
 def test_a_simpler_structure_that_is_nearly_as_good_is_taken() -> None:
     sheets = [told("a", "heater_lag"), told("b", "heater_lag", "soil_mass")]
-    both = ("soil_mass", "heater_lag")
-    known = fits({(rig, LAG): 0.205 for rig in "ab"} | {(rig, both): 0.2 for rig in "ab"})
+    known = fits({(rig, LAG): 0.205 for rig in "ab"} | {(rig, BOTH): 0.2 for rig in "ab"})
     assert all("soil_mass" not in sheet.twin.effects for sheet in in_kind_structure(sheets, known))
-    known = fits({(rig, LAG): 0.25 for rig in "ab"} | {(rig, both): 0.2 for rig in "ab"})
+    known = fits({(rig, LAG): 0.25 for rig in "ab"} | {(rig, BOTH): 0.2 for rig in "ab"})
     assert all("soil_mass" in sheet.twin.effects for sheet in in_kind_structure(sheets, known))
+
+
+def in_both(losses: dict[str, float], heats: dict[str, float]) -> Fits:
+    """Return fits in which LAG and SOIL follow alike. losses : by rig, in LAG; heats : of its place, there"""
+    known = fits({(rig, names): 0.2 for rig in losses for names in (LAG, SOIL)})
+    own = {
+        (rig, LAG): {"wall_loss": {"UA": Value(loss)}, ANY_HEAT: {"P0": Value(heats.get(rig, 0.0))}}
+        for rig, loss in losses.items()
+    }
+    return {key: replace(twin, effects={**twin.effects, **own.get(key, {})}) for key, twin in known.items()}
+
+
+def test_the_structure_is_one_in_which_boxes_let_expect_each_other() -> None:
+    sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag")]
+    alike = in_both({"a": 2.4, "b": 2.4, "c": 2.4}, {})
+    assert all("heater_lag" in sheet.twin.effects for sheet in in_kind_structure(sheets, alike))
+    apart = in_both({"a": 1.2, "b": 2.4, "c": 4.8}, {})
+    assert all("soil_mass" in sheet.twin.effects for sheet in in_kind_structure(sheets, apart))
+
+
+def test_a_structure_in_which_each_box_needs_a_heat_of_its_place_tells_a_new_one_too_little() -> None:
+    sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag")]
+    heated = in_both(dict.fromkeys("abc", 2.4), dict.fromkeys("abc", 10.0))
+    assert all("soil_mass" in sheet.twin.effects for sheet in in_kind_structure(sheets, heated))
 
 
 def test_boxes_that_were_not_fitted_tell_what_they_told() -> None:
