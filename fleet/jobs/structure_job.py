@@ -1,4 +1,4 @@
-"""Fits of a night: boxes of a kind in each structure that one of them has told, from their numbers in store.
+"""Fits of a night: boxes of a kind in what they have told, alone and joined, from their numbers in store.
 
 A box is fitted once it has run for a day, and again when it has told another twin. Of a kind with many boxes
 some tell enough.

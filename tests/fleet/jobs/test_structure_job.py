@@ -1,4 +1,4 @@
-"""Fits of a night: boxes of a kind in what each of them has told, from what ingest has stored of them."""
+"""Fits of a night: boxes of a kind in what they have told, alone and joined, from numbers in store."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -60,10 +60,11 @@ def test_boxes_are_fitted_after_a_day_and_where_there_are_two(engine: Engine) ->
     tell(engine, "rig-1", LAG)
     tell(engine, "rig-2", SOIL)
     assert wanted(engine, NIGHT - 1.0) == set()
-    every = {(rig, name) for rig in ("rig-1", "rig-2") for name in ("heater_lag", "soil_mass")}
+    names = ("heater_lag", "soil_mass", "soil_mass+heater_lag")
+    every = {(rig, name) for rig in ("rig-1", "rig-2") for name in names}
     assert wanted(engine, NIGHT) == every
     # Where the numbers cannot be reached nothing is kept, and another night tries again.
-    assert fit_structures(engine, NOWHERE, NIGHT, workers=0) == (0, 4)
+    assert fit_structures(engine, NOWHERE, NIGHT, workers=0) == (0, 6)
     assert wanted(engine, NIGHT + DAY_S) == every
 
 
@@ -87,7 +88,7 @@ def test_a_kind_has_the_structure_that_its_numbers_show(engine: Engine, tmp_path
             tell(engine, f"rig-{number}", added)
         renew_prior(engine, NIGHT)
         assert newest_prior(engine).structure("tent") == ()
-        assert fit_structures(engine, numbers, NIGHT, workers=0) == (4, 0)
+        assert fit_structures(engine, numbers, NIGHT, workers=0) == (6, 0)
         assert fit_structures(engine, numbers, NIGHT + 1.0, workers=0) == (0, 0)
         renew_prior(engine, NIGHT + 2.0)
         prior = newest_prior(engine)
