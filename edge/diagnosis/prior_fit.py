@@ -43,19 +43,20 @@ def fit_about(prepared: PreparedRuns, miss_k: float) -> TwinFile | None:
     file, runs = prepared.file, prepared.runs
     rooms = tuple(term for term in prepared.terms if term.of_room)
     terms = (*rooms, *drifts(runs.duty.shape, file.sample_s, miss_k))
-    (found,) = fit_values([file], terms, runs, first_levels(file, runs).sensor_k, SideBySide())
-    found = _fit_with_doubt(found, file, runs, miss_k)
+    noise_k = first_levels(file, runs).sensor_k
+    (found,) = fit_values([file], terms, runs, noise_k, SideBySide())
+    found = _fit_with_doubt(found, file, runs, float(np.hypot(miss_k, noise_k)))
     wide = tuple(replace(item, sd=WIDER * item.sd) for item in found.free)
     (unlike,) = fit([replace(found.trial, file=found.file, free=wide)], runs, FINELY)
     return None if _evidence(unlike) > _evidence(found) + BETTER_NATS else fitted_twin(found)
 
 
-def _fit_with_doubt(found: FittedTwin, file: TwinFile, runs: RunBatch, miss_k: float) -> FittedTwin:
-    """Return a fit to runs that count less, where its free run misses them by more than its kind's do.
+def _fit_with_doubt(found: FittedTwin, file: TwinFile, runs: RunBatch, usual_k: float) -> FittedTwin:
+    """Return a fit to runs that count less, where its free run misses them by more than is usual.
 
     file : what it was fitted from
     """
-    beyond = rms_k(found, runs) / miss_k
+    beyond = rms_k(found, runs) / usual_k
     if beyond <= 1.0:
         return found
     levels = free_levels(found.trial.levels.sensor_k * beyond**DOUBT)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.support.simulated_runs import BOX, as_diagnosis_runs, simulate
+from edge.diagnosis import prior_fit
 from edge.diagnosis.prepare import prepare
 from edge.diagnosis.prior_fit import MOST_TERMS, drifts, fit_about
 from edge.formats.run_file import RecordedRun
@@ -43,16 +44,28 @@ def test_a_run_moves_the_values_of_its_prior() -> None:
     assert CORRELATION in found.provenance
 
 
-def test_a_sun_that_nobody_measured_is_not_all_taken_for_a_smaller_loss() -> None:
+def sunny_run() -> RecordedRun:
+    """Return an hour with a heat that came in with the run and goes on: 1.5 K within half an hour."""
     run = simulate(BOX, 1, 60)
     air = run.columns["temp_air_c"]
-    # As of a heat that came in with the run and goes on: 1.5 K within half an hour.
     warmed = air + 1.5 * (1.0 - np.exp(-np.arange(len(air)) / 15.0))
-    sunny = replace(run, columns={**run.columns, "temp_air_c": warmed})
-    certain, usual, careful = (fitted(4.0, sunny, miss_k).effects["wall_loss"]["UA"] for miss_k in MISSES_K)
-    assert certain.value + 0.05 < usual.value < careful.value < 4.0
-    assert (careful.low or 0.0) < 4.0 < (careful.high or 0.0)
-    assert (certain.high or 0.0) < 4.0
+    return replace(run, columns={**run.columns, "temp_air_c": warmed})
+
+
+@pytest.mark.parametrize("miss_k", MISSES_K)
+def test_a_sun_that_nobody_measured_is_not_taken_for_a_smaller_loss(miss_k: float) -> None:
+    loss = fitted(4.0, sunny_run(), miss_k).effects["wall_loss"]["UA"]
+    assert loss.value > 3.65
+    assert (loss.low or 0.0) < 4.0 < (loss.high or 0.0)
+
+
+def test_only_a_run_that_is_missed_by_more_than_usual_counts_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = simulate(BOX, 1, 60)
+    doubted, usual = fitted(4.0, sunny_run()), fitted(3.4, plain)
+    monkeypatch.setattr(prior_fit, "DOUBT", 0.0)
+    loss = fitted(4.0, sunny_run()).effects["wall_loss"]["UA"]
+    assert (loss.high or 0.0) < 4.0 and loss.value + 0.1 < doubted.effects["wall_loss"]["UA"].value
+    assert fitted(3.4, plain) == usual
 
 
 def test_a_run_of_another_box_is_not_fitted() -> None:
