@@ -2,7 +2,7 @@
 
 Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
 Every box was commissioned for six hours, has run for a day since, and tells the fleet the twin of both. The
-fleet fits each structure that one has told to the data of all.
+fleet fits each structure that one has told, and some that join two, to the data of all.
 Leave one out: to each in turn, as if it were new, the others of its design give a prior. Its twin is learnt
 from the first hour of its step tests with the prior, from that hour without, and from six hours without. One
 more of each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
