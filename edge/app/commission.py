@@ -227,10 +227,11 @@ def better_model(found: Diagnosis, error_k: float) -> tuple[str, float] | None:
 
 def _refusals(error_k: float, limit_k: float, is_of_kind: bool) -> Iterator[str]:
     if not error_k <= limit_k:
+        again = "; its values are its kind's: did the sun or a draught come? test again without"
         yield (
             f"over {TEST_SHARE:.0%} of the tests, which no fit saw, the twin is off by "
-            f"{error_k:.2f} K, more than {limit_k:.2f} K"
-        ) + ("; its values are its kind's: did the sun or a draught come? test again without" * is_of_kind)
+            f"{error_k:.2f} K, more than {limit_k:.2f} K" + (again if is_of_kind else "")
+        )
 
 
 def _least_move_k(run: RecordedRun, start: TwinFile) -> float:

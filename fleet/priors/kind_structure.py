@@ -38,7 +38,7 @@ MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to ever
 WORTH = 0.8  # times the miss without that heat: a box that misses less with it has it
 LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
-LEFT = 0.3  # of what a box differs by from what its kind lets expect, after an hour of its own
+LEFT = 0.3  # share of what a box differs by from what its kind lets expect, after an hour of its own
 AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure is taken
 
 
@@ -56,6 +56,7 @@ def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
 
 
 def _with_joined(told: Counter[Structure]) -> list[Structure]:
+    """Return what most have told, and what two of these make: one box names what the next one lacks."""
     most = [own for own, _ in told.most_common(MOST_TOLD)]
     joined = {tuple(name for name in OF_BOX if name in {*a, *b}) for a, b in combinations(most, 2)} - {*most}
     return sorted([*most, *sorted(joined, key=lambda own: (len(own), own))[:MOST_JOINED]])
