@@ -16,9 +16,10 @@ from selenium.webdriver.common.by import By
 from bench.support.broker import free_port, wait_for
 from bench.support.browser import PHONE, browser
 from bench.support.daemon_process import ROOT, DaemonProcess
-from bench.support.page_process import open_page, page_of
+from bench.support.page_process import PageProcess, open_page, page_of
 from bench.support.virtual_board import VirtualBoard
 from edge.page.access import Role
+from edge.page.alarms import alarm_state
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]
@@ -51,6 +52,12 @@ def signs(sink: HttpSink) -> int:
     return sum(one.method == "GET" for one in sink.heard)
 
 
+def is_noted(page: PageProcess) -> bool:
+    """Return whether the page has saved that it told each of its alarms: until then, a kill repeats one."""
+    alarms = alarm_state.load(page.access).alarms
+    return bool(alarms) and all(alarm.deliveries for alarm in alarms)
+
+
 def hang(daemon: DaemonProcess) -> None:
     assert daemon.process is not None
     os.kill(daemon.process.pid, signal.SIGSTOP)
@@ -72,6 +79,7 @@ def test_a_hung_daemon_is_told_and_its_signs_of_life_end(
             before = signs(sink)
             withheld = page.client().get("/api/alarms").json()["life_sign"]["withheld"]
             assert withheld == "the daemon does not answer"
+            wait_for(lambda: is_noted(page))
             page.kill()
             page.start()  # a restart does not tell it again
             wait_for(lambda: page.client().get("/api/alarms").json()["alarms"])
