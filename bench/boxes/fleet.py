@@ -2,7 +2,8 @@
 
 Each design is built several times, with the tolerances of its parts and in rooms of their own (siblings.py).
 Every box was commissioned for six hours, has run for a day since, and tells the fleet the twin of both. The
-fleet fits each structure that one has told, and some that join two, to the data of all.
+fleet fits each structure that one has told, and some that join two, to the data of all, and rehearses: each
+of its boxes is learnt from an hour and what the others tell.
 Leave one out: to each in turn, as if it were new, the others of its design give a prior. Its twin is learnt
 from the first hour of its step tests with the prior, from that hour without, and from six hours without. One
 more of each design is odd: a lid stands open, a heater is weaker; its fleet does not know.
@@ -43,7 +44,15 @@ from edge.storage.runs import export_stretches
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from firmware_protocol.virtual_board.plant import Plant
 from fleet.priors.fleet_prior import BoxSheet, fit_prior
-from fleet.priors.kind_structure import Structure, fit_structure, in_kind_structure, structures
+from fleet.priors.kind_structure import (
+    Rehearsals,
+    Structure,
+    choose,
+    fit_structure,
+    in_kind_structure,
+    structures,
+)
+from fleet.priors.rehearsal import rehearse
 from training.lab import InProcessBoard, Lab
 
 LITTLE_H, MUCH_H = 1.0, 6.0
@@ -153,6 +162,34 @@ def _fit_path(out: Path, box: FleetBox, structure: Structure) -> Path:
     return out / f"{'+'.join((box.name, *structure))}.fit.yaml"
 
 
+def rehearse_box(out: Path, wanted: tuple[FleetBox, Structure, tuple[FleetBox, ...]]) -> None:
+    """Keep what a box would be missed by if it were new, by others in a structure."""
+    box, structure, others = wanted
+    path = _rehearsal_path(out, *wanted)
+    if path.exists():
+        return
+    tests, day = (read_run(out / f"{box.name}.{name}.csv") for name in ("tests", "day"))
+    told = read_twin_file(out / f"{box.name}.told.yaml")
+    twins = [read_twin_file(_fit_path(out, other, structure)) for other in others]
+    path.write_text(json.dumps(rehearse(told, [first_hours(tests, MUCH_H), day], twins)))
+
+
+def _rehearsal_path(out: Path, box: FleetBox, structure: Structure, others: tuple[FleetBox, ...]) -> Path:
+    by = "".join(str(other.number) for other in others)
+    return out / f"{'+'.join((box.name, *structure))}.by-{by}.json"
+
+
+def rehearsals_wanted(
+    out: Path, fleet: Sequence[FleetBox]
+) -> list[tuple[FleetBox, Structure, tuple[FleetBox, ...]]]:
+    """Return each box with each structure, and the others of all and of each fleet that lacks one more."""
+    return [
+        (box, name, tuple(other for other in fleet if other not in (box, left_out)))
+        for box, name in fits_wanted(out, fleet)
+        for left_out in fleet
+    ]
+
+
 def fits_wanted(out: Path, fleet: Sequence[FleetBox]) -> list[tuple[FleetBox, Structure]]:
     """Return each box with each structure that its fleet has told."""
     sheets = [*sheets_of(out, fleet).values()]
@@ -191,16 +228,26 @@ def place_of(out: Path, fleet: Sequence[FleetBox]) -> Path:
 
 def give_starts(out: Path, fleet: Sequence[FleetBox], new: Sequence[FleetBox]) -> None:
     """Keep the twin from which each box starts, by the prior of all others."""
-    sheets = sheets_of(out, fleet)
-    fits = {
-        (box.name, name): read_twin_file(_fit_path(out, box, name)) for box, name in fits_wanted(out, fleet)
-    }
+    sheets, wanted = sheets_of(out, fleet), fits_wanted(out, fleet)
+    fits = {(box.name, name): read_twin_file(_fit_path(out, box, name)) for box, name in wanted}
     for box in new:
         path = place_of(out, fleet) / f"{box.name}.start.yaml"
         if not path.exists():
             others = [sheet for other, sheet in sheets.items() if other != box]
-            prior = fit_prior(in_kind_structure(others, fits))
+            chosen = choose(others, fits, known_rehearsals(out, fleet, box))
+            shares = {kind: one.share for kind, one in chosen.items()}
+            prior = fit_prior(in_kind_structure(others, fits, chosen), shares)
             write_twin_file(prior.start(box.start, str(box.design)), path)
+
+
+def known_rehearsals(out: Path, fleet: Sequence[FleetBox], new: FleetBox) -> Rehearsals:
+    """Return what is kept of the fleet without a box."""
+    return {
+        (box.name, name): json.loads(_rehearsal_path(out, box, name, others).read_text())
+        for box, name in fits_wanted(out, fleet)
+        if box != new
+        for others in [tuple(other for other in fleet if other not in (box, new))]
+    }
 
 
 WAYS = {"1 h": LITTLE_H, "6 h": MUCH_H, "1 h and prior": LITTLE_H}
@@ -286,6 +333,7 @@ def measure(design: int, given: argparse.Namespace) -> list[NewBoxRow]:
     alone = sweep(partial(judge_alone, given.out), new, given.workers, given.dask)
     sweep(partial(tell_fleet, given.out), fleet, given.workers, given.dask)
     sweep(partial(fit_box, given.out), fits_wanted(given.out, fleet), given.workers, given.dask)
+    sweep(partial(rehearse_box, given.out), rehearsals_wanted(given.out, fleet), given.workers, given.dask)
     give_starts(given.out, fleet, new)
     in_fleet = sweep(partial(judge_in_fleet, given.out, fleet), new, given.workers, given.dask)
     return [*in_fleet, *(row for lot in alone for row in lot)]

@@ -21,9 +21,9 @@ from edge.config.settings import ControlSettings
 from edge.core.errors import DataError, RequestError
 from edge.diagnosis.adopted_twin import round_value
 from edge.diagnosis.baselines import bare
-from edge.diagnosis.diagnose import Diagnosis, diagnose
+from edge.diagnosis.diagnose import Diagnosis, diagnose, fitted_twin
 from edge.diagnosis.prepare import prepare
-from edge.diagnosis.prior_fit import USUAL_MISS_K, fit_about
+from edge.diagnosis.prior_fit import fit_about, usual_miss_k
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import FROM_S, DiagnosisRuns, diagnosis_runs
 from edge.formats.run_file import RecordedRun, cut
@@ -32,7 +32,7 @@ from edge.twin.draws import CORRELATION
 from edge.twin.effects.plausible import implausible, odd, with_usual_fan
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
-from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
+from edge.twin.provenance import PRIOR
 from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest
@@ -182,13 +182,11 @@ def _about_prior(start: TwinFile, begin: RecordedRun, runs: DiagnosisRuns) -> Tw
     """
     if PRIOR not in start.provenance:
         return start
-    found = fit_about(prepare(with_rest_offset(start, begin), runs), usual_miss_k(start) or USUAL_MISS_K)
-    return found and replace(found, provenance={**found.provenance, PRIOR: start.provenance[PRIOR]})
-
-
-def usual_miss_k(file: TwinFile) -> float:
-    """Return what twins of its kind usually miss by; 0 where no fleet has told [K]."""
-    return max(provenance_numbers(file, PRIOR, USUAL_MISS), default=0.0)
+    found = fit_about(prepare(with_rest_offset(start, begin), runs), usual_miss_k(start))
+    if found is None:
+        return None
+    twin = fitted_twin(found)
+    return replace(twin, provenance={**twin.provenance, PRIOR: start.provenance[PRIOR]})
 
 
 def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFile, float]:

@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.diagnose import fitted_twin
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.free_fit import FINELY, fit_values, free_levels, rms_k
 from edge.diagnosis.noise_levels import first_levels
 from edge.diagnosis.prepare import PreparedRuns
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin, SizedTerm
+from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 
@@ -33,8 +33,13 @@ DOUBT = 2.0  # power of what an hour is missed by, in usual misses, by which it 
 BETTER_NATS = 1.0  # positive evidence (Kass and Raftery 1995, JASA 90)
 
 
-def fit_about(prepared: PreparedRuns, miss_k: float) -> TwinFile | None:
-    """Return the twin with its uncertain values at their best, with intervals and correlations.
+def usual_miss_k(file: TwinFile) -> float:
+    """Return what twins of its kind usually miss by; USUAL_MISS_K where no fleet has told [K]."""
+    return max(provenance_numbers(file, PRIOR, USUAL_MISS), default=0.0) or USUAL_MISS_K
+
+
+def fit_about(prepared: PreparedRuns, miss_k: float) -> FittedTwin | None:
+    """Return the twin with its uncertain values at their best.
 
     miss_k : of free runs by twins of its kind, RMS
     Returns : None where the runs are of a box that the prior is not of
@@ -48,7 +53,7 @@ def fit_about(prepared: PreparedRuns, miss_k: float) -> TwinFile | None:
     found = _fit_with_doubt(found, file, runs, float(np.hypot(miss_k, noise_k)))
     wide = tuple(replace(item, sd=WIDER * item.sd) for item in found.free)
     (unlike,) = fit([replace(found.trial, file=found.file, free=wide)], runs, FINELY)
-    return None if _evidence(unlike) > _evidence(found) + BETTER_NATS else fitted_twin(found)
+    return None if _evidence(unlike) > _evidence(found) + BETTER_NATS else found
 
 
 def _fit_with_doubt(found: FittedTwin, file: TwinFile, runs: RunBatch, usual_k: float) -> FittedTwin:

@@ -72,6 +72,7 @@ def _do(settings: FleetSettings, engine: Engine, workers: int, dask: str | None)
     # Late: fits take 100 MB, which a process that waits for the night need not hold.
     from fleet.jobs.diagnosis_job import diagnose_changed
     from fleet.jobs.prior_job import renew_prior
+    from fleet.jobs.rehearsal_job import rehearse_kinds
     from fleet.jobs.structure_job import fit_structures
 
     utc = time.time()
@@ -81,13 +82,15 @@ def _do(settings: FleetSettings, engine: Engine, workers: int, dask: str | None)
         _say(f"diagnosis: {rig}: {finding.text}")
     new, failed = fit_structures(engine, settings.numbers, utc, workers, dask)
     _say(f"structures: {new} new fits of boxes to what others of their kind have told, {failed} failed")
+    done, failed = rehearse_kinds(engine, settings.numbers, utc, workers, dask)
+    _say(f"rehearsals: {done} boxes as if they were new, {failed} failed")
     try:
-        done = renew_prior(engine, utc)
+        renewed = renew_prior(engine, utc)
     except DataError as error:
         _say(f"prior: {error}")
     else:
-        _say(f"prior: of {done.boxes} boxes; {done.departures} values are far from their kind's")
-        for rig, reason in done.unread.items():
+        _say(f"prior: of {renewed.boxes} boxes; {renewed.departures} values are far from their kind's")
+        for rig, reason in renewed.unread.items():
             _say(f"prior: the twin of {rig} is left out: {reason}")
 
 

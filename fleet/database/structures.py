@@ -1,4 +1,4 @@
-"""Twins of boxes in structures that other boxes of their kind have told."""
+"""Twins of boxes in structures that others of their kind have told, and what these tell of a new box."""
 
 from typing import Any
 
@@ -23,3 +23,18 @@ class StructureFit(FleetTable):
     told_sha256: Mapped[str] = mapped_column(String(64))
     utc: Mapped[float]
     document: Mapped[dict[str, Any]] = mapped_column(JSON)
+
+
+class BoxRehearsal(FleetTable):
+    """The error of a box as if it were new, by the others of its kind in a structure.
+
+    structure : as in StructureFit; told_sha256 : of what the kind's boxes had told then
+    missed_k : for each share of the kind's usual miss, as `fleet.priors.rehearsal.SHARES`
+    """
+
+    __tablename__ = "rehearsals"
+    rig: Mapped[str] = mapped_column(ForeignKey("rigs.name"), primary_key=True)
+    structure: Mapped[str] = mapped_column(String(STRUCTURE_MAX), primary_key=True)
+    told_sha256: Mapped[str] = mapped_column(String(64))
+    utc: Mapped[float]
+    missed_k: Mapped[list[float]] = mapped_column(JSON)

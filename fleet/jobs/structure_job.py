@@ -53,7 +53,7 @@ def fit_structures(
             for job, document in zip(jobs, found, strict=True):
                 if document is not None:
                     own = StructureFit(
-                        rig=job.rig, structure=_text(job.structure), utc=utc, document=document
+                        rig=job.rig, structure=text_of(job.structure), utc=utc, document=document
                     )
                     own.told_sha256 = told.sha256[job.rig]
                     session.merge(own)
@@ -76,7 +76,7 @@ def known_fits(engine: Engine, told: ToldSheets) -> Fits:
     """Return the fits of boxes that have told no other twin since."""
     with Session(engine) as session:
         return {
-            (one.rig, _structure(one.structure)): twin_of(one.document)
+            (one.rig, structure_of(one.structure)): twin_of(one.document)
             for one in session.scalars(select(StructureFit))
             if told.sha256.get(one.rig) == one.told_sha256
         }
@@ -86,7 +86,7 @@ def _jobs(engine: Engine, told: ToldSheets, numbers: NumbersSettings, utc: float
     """Yield what is to be done of each kind."""
     with Session(engine) as session:
         known = session.execute(select(StructureFit.rig, StructureFit.structure, StructureFit.told_sha256))
-        done = {(rig, _structure(text), sha256) for rig, text, sha256 in known}
+        done = {(rig, structure_of(text), sha256) for rig, text, sha256 in known}
         have_run = set(session.scalars(select(FleetRig.name).where(FleetRig.first_utc <= utc - DAY_S)))
         have_run -= begun_disagreements(session).keys()  # they are no longer what they were
     for kind, wanted in structures(told.sheets).items():
@@ -101,9 +101,11 @@ def _jobs(engine: Engine, told: ToldSheets, numbers: NumbersSettings, utc: float
             yield jobs
 
 
-def _text(structure: Structure) -> str:
+def text_of(structure: Structure) -> str:
+    """Return a structure as the database has it."""
     return "+".join(structure)
 
 
-def _structure(text: str) -> Structure:
+def structure_of(text: str) -> Structure:
+    """Return the structure of a text in the database."""
     return tuple(name for name in text.split("+") if name)

@@ -3,13 +3,13 @@
 Diagnoses of boxes that are built alike do not name the same. One has soil where the next has a wall, and what
 one calls a constant heat another puts into its loss, so their values are not of the same things. Each
 structure that a box of the kind has told is therefore fitted to the recordings of all of them, and some that
-join what two have told. The kind's is the simplest of those that follow all boxes and let expect of each what
-the others have: with values that are far apart, or a heat that each box needs, a new box is told nothing.
+join what two have told. The kind's is the simplest of those in which an hour of each box, with what the
+others tell, foretells the rest of it (`rehearsal`): it need not be the one that follows recordings best.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -26,20 +26,22 @@ from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.provenance import provenance_numbers
 from edge.twin.twin_file import TwinFile
-from fleet.priors.fleet_prior import LEAST_MISS_K, OF_BOX, BoxSheet, fit_prior, told_effects
-from fleet.priors.shared_structure import answer
+from fleet.priors.fleet_prior import LEAST_MISS_K, OF_BOX, BoxSheet, told_effects
+from fleet.priors.rehearsal import SHARES
 
 Floats = NDArray[np.float64]
 Structure = tuple[str, ...]
 Fits = Mapping[tuple[str, Structure], TwinFile]
+Rehearsals = Mapping[tuple[str, Structure], Sequence[float]]  # for each of SHARES, by rig and structure
+Misses = dict[tuple[Structure, float], Floats]  # of each box [K], by structure and share of the usual miss
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
 MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to every box
-# WORTH and AS_GOOD were found on a development design, 507, LEFT on three more (docs/measured/fleet.md).
+# WORTH and AS_GOOD were found on a development design, 507 (docs/measured/fleet.md).
 WORTH = 0.8  # times the miss without that heat: a box that misses less with it has it
 LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
-LEFT = 0.3  # share of what a box differs by from what its kind lets expect, after an hour of its own
-AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure is taken
+USUAL = 1.0  # share of what twins of a kind miss by, as which it counts where nothing was rehearsed
+AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure, less belief in an hour is taken
 
 
 def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
@@ -91,58 +93,80 @@ def _miss_k(twin: TwinFile, part: str) -> float:
     return max(provenance_numbers(twin, "after", part, "rmse_k"), default=np.inf)
 
 
-def in_kind_structure(sheets: Sequence[BoxSheet], fits: Fits) -> list[BoxSheet]:
-    """Return the boxes of each kind with their twins in its structure; of a kind without fits as they are.
+@dataclass(frozen=True, slots=True)
+class KindChoice:
+    """The choice for a kind. share : of what its twins miss by, as which that counts for a new box"""
 
-    fits : by rig and structure
+    structure: Structure
+    share: float = USUAL
+
+
+def choose(sheets: Sequence[BoxSheet], fits: Fits, rehearsed: Rehearsals) -> dict[str, KindChoice]:
+    """Return what serves new boxes of each kind best; nothing of a kind without fits.
+
+    fits, rehearsed : by rig and structure
     """
-    found, wanted = [], structures(sheets)
+    found = {}
+    for kind, wanted in structures(sheets).items():
+        mine = [sheet.rig for sheet in sheets if sheet.kind == kind]
+        chosen = _chosen(wanted, mine, fits, rehearsed)
+        if chosen is not None:
+            found[kind] = chosen
+    return found
+
+
+def in_kind_structure(
+    sheets: Sequence[BoxSheet], fits: Fits, chosen: Mapping[str, KindChoice]
+) -> list[BoxSheet]:
+    """Return the boxes of each kind with their twins in its structure; of a kind without one as they are."""
+    found = []
     for kind in sorted({sheet.kind for sheet in sheets}):
         mine = [sheet for sheet in sheets if sheet.kind == kind]
-        chosen = _chosen(wanted.get(kind, []), [sheet.rig for sheet in mine], fits)
-        if chosen is not None:
+        if kind in chosen:
+            names = chosen[kind].structure
             mine = [
-                replace(sheet, twin=fits[sheet.rig, chosen]) for sheet in mine if (sheet.rig, chosen) in fits
+                replace(sheet, twin=fits[sheet.rig, names]) for sheet in mine if (sheet.rig, names) in fits
             ]
         found += mine
     return found
 
 
-def _chosen(names: Sequence[Structure], rigs: Sequence[str], fits: Fits) -> Structure | None:
-    """Return the structure of a kind; None where too few of its boxes can be compared."""
-    known = {own: [rig for rig in rigs if (rig, own) in fits] for own in names}
-    most = max(map(len, known.values()), default=0)
+def comparable(
+    names: Sequence[Structure], rigs: Sequence[str], known: Container[tuple[str, Structure]]
+) -> tuple[list[Structure], list[str]]:
+    """Return structures that can be compared, and the boxes that are known in each of them.
+
+    known : of which box and structure something is
+    """
+    counts = {own: sum((rig, own) in known for rig in rigs) for own in names}
+    most = max(counts.values(), default=0)
     # One that hardly any box could be fitted in is in nobody's way.
-    names = [own for own, fitted in known.items() if fitted and len(fitted) >= most / 2]
-    compared = [rig for rig in rigs if names and all((rig, own) in fits for own in names)]
-    return _best(names, compared, fits) if len(compared) >= min(LEAST_BOXES, len(rigs)) else None
+    good = [own for own, count in counts.items() if count and count >= most / 2]
+    return good, [rig for rig in rigs if good and all((rig, own) in known for own in good)]
 
 
-def _best(names: Sequence[Structure], rigs: Sequence[str], fits: Fits) -> Structure:
-    missed = {own: _to_miss_k([fits[rig, own] for rig in rigs]) for own in names}
+def _chosen(
+    names: Sequence[Structure], rigs: Sequence[str], fits: Fits, rehearsed: Rehearsals
+) -> KindChoice | None:
+    """Return what suits a kind; None where too few of its boxes can be compared."""
+    least = min(LEAST_BOXES, len(rigs))
+    names, fitted = comparable(names, rigs, fits)
+    if len(fitted) < least:
+        return None
+    tried, new = comparable(names, fitted, rehearsed)
+    if len(new) < least:
+        return _best({(own, USUAL): _misses_k([fits[rig, own] for rig in fitted]) for own in names})
+    every = {own: np.array([rehearsed[rig, own] for rig in new]) for own in tried}
+    return _best({(own, share): every[own][:, i] for own in tried for i, share in enumerate(SHARES)})
+
+
+def _best(missed: Misses) -> KindChoice:
     least = np.maximum(np.min([*missed.values()], axis=0), LEAST_MISS_K)
     # No box counts beyond that: one whose readings are made up may follow its own structure exactly.
-    beside = {own: np.log(np.clip(one / least, 1.0, FAR)).mean() for own, one in missed.items()}
-    good = [own for own in names if beside[own] <= min(beside.values()) + np.log(AS_GOOD)]
-    return min(good, key=lambda own: (len(own), beside[own]))
+    beside = {key: np.log(np.clip(one / least, 1.0, FAR)).mean() for key, one in missed.items()}
+    good = [key for key in missed if beside[key] <= min(beside.values()) + np.log(AS_GOOD)]
+    return KindChoice(*min(good, key=lambda key: (len(key[0]), -key[1], beside[key])))
 
 
-def _to_miss_k(twins: Sequence[TwinFile]) -> Floats:
-    """Return what each box would miss by if it were new: as its fit does, and as it is unlike the others."""
-    return np.hypot([_miss_k(twin, "train") for twin in twins], LEFT * _unlike_k(twins))
-
-
-def _unlike_k(twins: Sequence[TwinFile]) -> Floats:
-    """How far the answer of each is from what the others let expect, RMS, [n]; 0 for one alone [K].
-
-    A heat of its place counts as far as it goes: a new box does not have it from its kind.
-    """
-    if len(twins) < 2:
-        return np.zeros(len(twins))
-    sheets = [BoxSheet(str(i), "one", twin) for i, twin in enumerate(twins)]
-    expected = [
-        fit_prior([other for other in sheets if other is not sheet]).start(bare(sheet.twin), sheet.kind)
-        for sheet in sheets
-    ]
-    apart = [answer(twin, ()).temp - answer(own, ()).temp for twin, own in zip(twins, expected, strict=True)]
-    return np.array([np.nan_to_num(np.sqrt(np.mean(off**2)), nan=np.inf) for off in apart])
+def _misses_k(twins: Sequence[TwinFile]) -> Floats:
+    return np.array([_miss_k(twin, "train") for twin in twins])

@@ -7,6 +7,7 @@ import pytest
 
 from bench.support.simulated_runs import BOX, as_diagnosis_runs, simulate
 from edge.diagnosis import prior_fit
+from edge.diagnosis.diagnose import fitted_twin
 from edge.diagnosis.prepare import prepare
 from edge.diagnosis.prior_fit import MOST_TERMS, drifts, fit_about
 from edge.formats.run_file import RecordedRun
@@ -25,7 +26,8 @@ def fit(loss_w_k: float, run: RecordedRun, miss_k: float = 0.3) -> TwinFile | No
             "extra_capacity": {"kC": Value(10.0, rel_sd=SPREAD)},
         }
     )
-    return fit_about(prepare(start, as_diagnosis_runs([run], file=start)), miss_k)
+    found = fit_about(prepare(start, as_diagnosis_runs([run], file=start)), miss_k)
+    return found and fitted_twin(found)
 
 
 def fitted(loss_w_k: float, run: RecordedRun, miss_k: float = 0.3) -> TwinFile:

@@ -1,4 +1,4 @@
-"""Fits of a night: boxes of a kind in what they have told, alone and joined, from numbers in store."""
+"""Fits and rehearsals of a night, from numbers in store."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,8 +17,12 @@ from fleet.database.rigs import FleetRig
 from fleet.database.twins import ToldTwin
 from fleet.jobs import structure_job
 from fleet.jobs.prior_job import newest_prior, renew_prior
-from fleet.jobs.structure_job import DAY_S, fit_structures
+from fleet.jobs.rehearsal_job import known_rehearsals, rehearse_kinds
+from fleet.jobs.structure_job import DAY_S, fit_structures, known_fits
+from fleet.jobs.told_sheets import told_sheets
 from fleet.numbers.victoria import Numbers
+from fleet.priors.kind_structure import choose
+from fleet.priors.rehearsal import SHARES
 from fleet.settings import DatabaseSettings, NumbersSettings
 
 LAG = {"heater_lag": {"tau_h": 400.0}}
@@ -90,8 +94,17 @@ def test_a_kind_has_the_structure_that_its_numbers_show(engine: Engine, tmp_path
         assert newest_prior(engine).structure("tent") == ()
         assert fit_structures(engine, numbers, NIGHT, workers=0) == (6, 0)
         assert fit_structures(engine, numbers, NIGHT + 1.0, workers=0) == (0, 0)
+        # Where the numbers cannot be reached nothing is kept, and another night tries again.
+        assert rehearse_kinds(engine, NOWHERE, NIGHT, workers=0) == (0, 2)
+        assert rehearse_kinds(engine, numbers, NIGHT, workers=0) == (2, 0)
+        assert rehearse_kinds(engine, numbers, NIGHT + 1.0, workers=0) == (0, 0)
+        told = told_sheets(engine)
+        rehearsed = known_rehearsals(engine, told)
+        assert rehearsed.keys() == known_fits(engine, told).keys()
         renew_prior(engine, NIGHT + 2.0)
         prior = newest_prior(engine)
+        share = choose(told.sheets, known_fits(engine, told), rehearsed)["tent"].share
+        assert share in SHARES and prior.misses_k["tent"] < 0.3 * share
         assert prior.structure("tent") == ("heater_lag",)
         start = prior.start(twin_file({**BOX, **FAN}), "tent")
         assert start.effects["heater_lag"]["tau_h"].value == pytest.approx(400.0, rel=0.2)
@@ -100,3 +113,5 @@ def test_a_kind_has_the_structure_that_its_numbers_show(engine: Engine, tmp_path
         assert fit_structures(engine, numbers, NIGHT + 3.0, workers=0) == (0, 0)
         tell(engine, "rig-1", LAG, utc=NIGHT)
         assert fit_structures(engine, numbers, NIGHT + 4.0, workers=0) == (1, 0)
+        # The others of a box are other ones then, so each is rehearsed anew.
+        assert rehearse_kinds(engine, numbers, NIGHT + 4.0, workers=0) == (2, 0)

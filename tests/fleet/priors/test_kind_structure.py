@@ -17,6 +17,9 @@ from fleet.priors.kind_structure import (
     ANY_HEAT,
     MOST_JOINED,
     Fits,
+    KindChoice,
+    Rehearsals,
+    choose,
     fit_structure,
     in_kind_structure,
     structures,
@@ -39,6 +42,10 @@ def fits(misses_k: dict[tuple[str, tuple[str, ...]], float]) -> Fits:
     return {(rig, names): told(rig, *names, miss_k=miss).twin for (rig, names), miss in misses_k.items()}
 
 
+def in_structure(sheets: list[BoxSheet], known: Fits) -> list[BoxSheet]:
+    return in_kind_structure(sheets, known, choose(sheets, known, {}))
+
+
 def test_each_structure_that_was_told_is_one_of_its_kind_and_so_is_what_two_have_told_together() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", kind=""), told("d", kind="case")]
     assert structures(sheets) == {"tent": [LAG, SOIL, BOTH], "case": [()]}
@@ -58,7 +65,7 @@ def test_the_structure_that_follows_all_boxes_is_the_kinds() -> None:
     sheets = [told("a", "soil_mass"), told("b", "heater_lag"), told("c", "soil_mass")]
     # Most have told soil, but a lag follows each of them better.
     known = fits({(rig, LAG): 0.2 for rig in "abc"} | {(rig, SOIL): 0.4 for rig in "abc"})
-    shared = in_kind_structure(sheets, known)
+    shared = in_structure(sheets, known)
     assert [sheet.rig for sheet in shared] == ["a", "b", "c"]
     assert all("heater_lag" in sheet.twin.effects for sheet in shared)
     assert fit_prior(shared).structure("tent") == LAG
@@ -67,45 +74,63 @@ def test_the_structure_that_follows_all_boxes_is_the_kinds() -> None:
 def test_a_simpler_structure_that_is_nearly_as_good_is_taken() -> None:
     sheets = [told("a", "heater_lag"), told("b", "heater_lag", "soil_mass")]
     known = fits({(rig, LAG): 0.205 for rig in "ab"} | {(rig, BOTH): 0.2 for rig in "ab"})
-    assert all("soil_mass" not in sheet.twin.effects for sheet in in_kind_structure(sheets, known))
+    assert all("soil_mass" not in sheet.twin.effects for sheet in in_structure(sheets, known))
     known = fits({(rig, LAG): 0.25 for rig in "ab"} | {(rig, BOTH): 0.2 for rig in "ab"})
-    assert all("soil_mass" in sheet.twin.effects for sheet in in_kind_structure(sheets, known))
+    assert all("soil_mass" in sheet.twin.effects for sheet in in_structure(sheets, known))
 
 
-def in_both(losses: dict[str, float], heats: dict[str, float]) -> Fits:
-    """Return fits in which LAG and SOIL follow alike. losses : by rig, in LAG; heats : of its place, there"""
-    known = fits({(rig, names): 0.2 for rig in losses for names in (LAG, SOIL)})
-    own = {
-        (rig, LAG): {"wall_loss": {"UA": Value(loss)}, ANY_HEAT: {"P0": Value(heats.get(rig, 0.0))}}
-        for rig, loss in losses.items()
-    }
-    return {key: replace(twin, effects={**twin.effects, **own.get(key, {})}) for key, twin in known.items()}
+def rehearsed(misses_k: dict[tuple[str, ...], list[float]], rigs: str = "abc") -> Rehearsals:
+    """Return the same for each box. misses_k : by structure, for each of SHARES"""
+    return {(rig, names): own for names, own in misses_k.items() for rig in rigs}
 
 
-def test_the_structure_is_one_in_which_boxes_let_expect_each_other() -> None:
+def test_the_structure_is_one_in_which_an_hour_foretells_the_rest() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag")]
-    alike = in_both({"a": 2.4, "b": 2.4, "c": 2.4}, {})
-    assert all("heater_lag" in sheet.twin.effects for sheet in in_kind_structure(sheets, alike))
-    apart = in_both({"a": 1.2, "b": 2.4, "c": 4.8}, {})
-    assert all("soil_mass" in sheet.twin.effects for sheet in in_kind_structure(sheets, apart))
+    known = fits({(rig, names): 0.2 for rig in "abc" for names in (LAG, SOIL)})
+    bad, good = [0.8, 0.7, 0.6, 0.7], [0.6, 0.4, 0.5, 0.7]
+    assert choose(sheets, known, {}) == {"tent": KindChoice(LAG)}
+    assert choose(sheets, known, rehearsed({LAG: bad, SOIL: good})) == {"tent": KindChoice(SOIL, 0.5)}
+    assert choose(sheets, known, rehearsed({LAG: good, SOIL: bad})) == {"tent": KindChoice(LAG, 0.5)}
+    # It need not be the one that follows what was recorded.
+    known = fits({(rig, LAG): 0.1 for rig in "abc"} | {(rig, SOIL): 0.3 for rig in "abc"})
+    assert choose(sheets, known, rehearsed({LAG: bad, SOIL: good})) == {"tent": KindChoice(SOIL, 0.5)}
 
 
-def test_a_structure_in_which_each_box_needs_a_heat_of_its_place_tells_a_new_one_too_little() -> None:
+def test_an_hour_is_believed_no_more_than_it_helps() -> None:
+    sheets = [told("a", "heater_lag"), told("b", "heater_lag"), told("c", "heater_lag")]
+    known = fits({(rig, LAG): 0.2 for rig in "abc"})
+    assert choose(sheets, known, rehearsed({LAG: [0.5, 0.5, 0.51, 0.6]})) == {"tent": KindChoice(LAG, 1.0)}
+    assert choose(sheets, known, rehearsed({LAG: [0.4, 0.5, 0.51, 0.6]})) == {"tent": KindChoice(LAG, 0.25)}
+
+
+@pytest.mark.parametrize("lie_k", [1e-9, 1e3])
+def test_a_box_that_lies_does_not_say_how_far_others_hours_are_believed(lie_k: float) -> None:
+    sheets = [told(rig, "heater_lag") for rig in "abcd"]
+    known = fits({(rig, LAG): 0.2 for rig in "abcd"})
+    honest = rehearsed({LAG: [0.7, 0.3, 0.5, 0.7]})
+    lies = {("d", LAG): [1e3, 1e3, 1e3, lie_k]}
+    assert choose(sheets, known, honest | lies) == {"tent": KindChoice(LAG, 0.5)}
+
+
+def test_what_was_rehearsed_in_part_is_compared_as_far_as_it_goes() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag")]
-    heated = in_both(dict.fromkeys("abc", 2.4), dict.fromkeys("abc", 10.0))
-    assert all("soil_mass" in sheet.twin.effects for sheet in in_kind_structure(sheets, heated))
+    known = fits({(rig, names): 0.2 for rig in "abc" for names in (LAG, SOIL)})
+    alone = rehearsed({LAG: [0.3, 0.3, 0.5, 0.7], SOIL: [0.1, 0.1, 0.1, 0.1]}, "a")
+    assert choose(sheets, known, alone) == {"tent": KindChoice(LAG)}
+    two = rehearsed({LAG: [0.3, 0.2, 0.5, 0.7]}, "ab")
+    assert choose(sheets, known, two) == {"tent": KindChoice(LAG, 0.5)}
 
 
 def test_boxes_that_were_not_fitted_tell_what_they_told() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "soil_mass", kind="case")]
-    assert in_kind_structure(sheets, {}) == [sheets[2], *sheets[:2]]
+    assert in_structure(sheets, {}) == [sheets[2], *sheets[:2]]
     # One alone is nothing to compare with.
     known = {("a", LAG): 0.2, ("a", SOIL): 0.4}
-    assert in_kind_structure(sheets, fits(known)) == [sheets[2], *sheets[:2]]
+    assert in_structure(sheets, fits(known)) == [sheets[2], *sheets[:2]]
     # Of a kind of which some are fitted the others tell nothing: their values are of other things.
     sheets.append(told("d", "soil_mass"))
     known |= {("d", LAG): 0.2, ("d", SOIL): 0.4}
-    shared = in_kind_structure(sheets, fits(known))
+    shared = in_structure(sheets, fits(known))
     assert [(sheet.rig, "heater_lag" in sheet.twin.effects) for sheet in shared] == [
         ("c", False), ("a", True), ("d", True),
     ]  # fmt: skip
@@ -114,14 +139,14 @@ def test_boxes_that_were_not_fitted_tell_what_they_told() -> None:
 def test_a_box_that_was_fitted_before_another_structure_was_told_tells_its_values() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag")]
     known = {(rig, LAG): 0.2 for rig in "abc"} | {(rig, SOIL): 0.4 for rig in "ab"}
-    assert [sheet.rig for sheet in in_kind_structure(sheets, fits(known))] == ["a", "b", "c"]
+    assert [sheet.rig for sheet in in_structure(sheets, fits(known))] == ["a", "b", "c"]
 
 
 def test_a_structure_that_cannot_be_fitted_is_in_nobodys_way() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag", "soil_mass")]
     known = fits({(rig, LAG): 0.2 for rig in "abc"} | {(rig, SOIL): 0.4 for rig in "abc"})
-    assert all({*sheet.twin.effects} >= {*LAG} for sheet in in_kind_structure(sheets, known))
-    assert len(in_kind_structure(sheets, known)) == 3
+    assert all({*sheet.twin.effects} >= {*LAG} for sheet in in_structure(sheets, known))
+    assert len(in_structure(sheets, known)) == 3
 
 
 @pytest.mark.parametrize("miss_k", [1e-9, np.inf])
@@ -129,7 +154,7 @@ def test_a_box_with_readings_that_are_made_up_outvotes_no_three(miss_k: float) -
     sheets = [*(told(rig, "heater_lag") for rig in "abc"), told("liar", "soil_mass")]
     known = {(rig, LAG): 0.2 for rig in "abc"} | {(rig, SOIL): 0.4 for rig in "abc"}
     known |= {("liar", LAG): max(miss_k, 0.2), ("liar", SOIL): min(miss_k, 0.1)}
-    assert all("heater_lag" in sheet.twin.effects for sheet in in_kind_structure(sheets, fits(known)))
+    assert all("heater_lag" in sheet.twin.effects for sheet in in_structure(sheets, fits(known)))
 
 
 def recorded(hidden: dict[str, dict[str, float]]) -> tuple[TwinFile, DiagnosisRuns]:

@@ -1,0 +1,88 @@
+"""A box of the fleet as if it were new: what an hour of it, with what the others tell, foretells of the rest.
+
+Days are in store of boxes that run, so what a start is for can be tried on them. Each in turn is learnt from
+an hour of its own, with the prior of the others of its kind, and its twin then runs free over all that was
+recorded beside: leave one out. This tells in which structure a kind says most of a new box, and how far an
+hour may be believed beside it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.app.rest_offset import with_rest_offset
+from edge.core.errors import DataError
+from edge.diagnosis.baselines import bare
+from edge.diagnosis.prepare import errors_over, prepare
+from edge.diagnosis.prior_fit import fit_about, usual_miss_k
+from edge.diagnosis.runs import PIECE_ROWS, diagnosis_runs, pieces
+from edge.formats.run_file import RecordedRun, cut
+from edge.twin.twin_file import TwinFile
+from fleet.priors.fleet_prior import MOST_MISS_K, BoxSheet, fit_prior
+
+Floats = NDArray[np.float64]
+SHARES = (0.25, 0.5, 1.0, 2.0)  # of what twins of the kind miss by: with less an hour is believed more
+HOUR_S, STRIDE_S = 3600.0, 600.0
+ROW_S = 10.0  # of step tests; of ticks that are farther apart their own
+FULL = 0.5  # of the largest spread of the heater in an hour: the first such, as tests begin at rest
+KIND = "kind"
+
+
+def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[TwinFile]) -> list[float]:
+    """Return the mean error of free runs [K], for each of SHARES.
+
+    MOST_MISS_K where the box was taken for one of another kind, or its twin runs away.
+
+    box : a twin of it, for its description; recorded : in the order of time
+    others : twins of its kind in the structure that is tried
+    Errors : DataError for recordings without an hour of heat or anything beside it
+    """
+    hour, rest = an_hour(recorded)
+    start = fit_prior([BoxSheet(str(i), KIND, twin) for i, twin in enumerate(others)]).start(bare(box), KIND)
+    step_s = max(ROW_S, float(np.median(np.diff(hour.columns["time_s"]))))
+    file = with_rest_offset(replace(start, sample_s=step_s), hour)
+    runs = diagnosis_runs([("hour", hour)], [(f"rest {i}", run) for i, run in enumerate(rest, 1)], file)
+    prepared = prepare(file, runs)
+    usual_k = usual_miss_k(start)
+    found = [fit_about(prepared, share * usual_k) for share in SHARES]
+    return [MOST_MISS_K if one is None else _missed_k(errors_over(runs.test, one, prepared)) for one in found]
+
+
+def _missed_k(errors_k: Floats) -> float:
+    mean_k = float(np.nanmean(np.abs(errors_k)))
+    return min(mean_k, MOST_MISS_K) if np.isfinite(mean_k) else MOST_MISS_K
+
+
+def an_hour(recorded: Sequence[RecordedRun]) -> tuple[RecordedRun, list[RecordedRun]]:
+    """Return the hour that is most like step tests, and what was recorded before and after.
+
+    Errors : DataError for recordings in which no hour has heat, or nothing but it was measured
+    """
+    parts = [part for run in recorded for part in pieces(run)]
+    spreads = [_spreads(part) for part in parts]
+    most = max((float(own.max()) for own in spreads if len(own)), default=0.0)
+    if not most > 0.0:
+        raise DataError(f"{recorded[0].path if recorded else 'nothing'}: no hour in which the heater changes")
+    at = next(i for i, own in enumerate(spreads) if len(own) and own.max() >= FULL * most)
+    part = parts[at]
+    begin_s = STRIDE_S * int(np.argmax(spreads[at] >= FULL * most))
+    begin, end = np.searchsorted(part.columns["time_s"], [begin_s, begin_s + HOUR_S]).tolist()
+    beside = [cut(part, *rows) for rows in ((0, begin), (end, len(part))) if rows[1] > rows[0]]
+    rest = [run for run in (*parts[:at], *beside, *parts[at + 1 :]) if _measured_rows(run) >= PIECE_ROWS]
+    if not rest:
+        raise DataError(f"{part.path}: nothing was recorded beside one hour")
+    return cut(part, begin, end), rest
+
+
+def _spreads(run: RecordedRun) -> Floats:
+    """Return the standard deviation of the heater's duty in each hour of a run, one every STRIDE_S."""
+    time_s, duty = run.columns["time_s"], np.nan_to_num(run.columns["heater_duty"])
+    begins = np.arange(0.0, time_s[-1] - HOUR_S + 0.5 * STRIDE_S, STRIDE_S)
+    rows = np.searchsorted(time_s, [begins, begins + HOUR_S]).T
+    return np.array([duty[begin:end].std() if end > begin else 0.0 for begin, end in rows])
+
+
+def _measured_rows(run: RecordedRun) -> int:
+    return int(np.isfinite(run.columns["temp_air_c"]).sum())

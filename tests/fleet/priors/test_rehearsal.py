@@ -1,0 +1,75 @@
+"""A box of the fleet as if it were new: which hour it is learnt from, and what comes of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.support.simulated_runs import BOX, Effects, simulate, twin_file
+from edge.core.errors import DataError
+from edge.formats.run_file import RecordedRun
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
+from fleet.priors.fleet_prior import MOST_MISS_K
+from fleet.priors.rehearsal import SHARES, an_hour, rehearse
+
+
+def heated(minutes: int, *hot: tuple[int, int], step_s: float = 60.0) -> RecordedRun:
+    """Return a run with full heat in these minutes."""
+    time_s = step_s * np.arange(round(60.0 * minutes / step_s))
+    duty = np.zeros(len(time_s))
+    for begin, end in hot:
+        duty[(time_s >= 60.0 * begin) & (time_s < 60.0 * end)] = 1.0
+    columns = {"time_s": time_s, "temp_air_c": np.full(len(time_s), 20.0), "heater_duty": duty}
+    return replace(simulate(BOX, 1, 1), columns=columns)
+
+
+def test_the_hour_is_the_first_in_which_the_heater_changes_much() -> None:
+    tests, day = heated(240, (20, 35), (180, 200)), heated(600, (30, 60), step_s=10.0)
+    hour, rest = an_hour([tests, day])
+    assert len(hour) == 60 and hour.columns["heater_duty"][20:35].all()
+    assert [len(run) for run in rest] == [180, 3600]
+    hour, rest = an_hour([heated(240), day])
+    assert len(hour) == 360 and [len(run) for run in rest] == [240, 3240]
+    hour, rest = an_hour([heated(240, (110, 150))])
+    assert [len(run) for run in (hour, *rest)] == [60, 60, 120]
+    assert rest[1].columns["time_s"][0] == 0.0
+
+
+def test_no_row_is_in_two_of_them() -> None:
+    run = heated(300, (95, 140))
+    hour, rest = an_hour([run])
+    assert len(hour) + sum(map(len, rest)) == len(run)
+
+
+@pytest.mark.parametrize("runs", [[], [heated(240)], [heated(30, (5, 10))], [heated(60, (5, 10))]])
+def test_without_an_hour_of_heat_or_anything_beside_it_nothing_is_rehearsed(runs: list[RecordedRun]) -> None:
+    with pytest.raises(DataError):
+        an_hour(runs)
+
+
+def of_kind(losses_w_k: tuple[float, ...]) -> list[TwinFile]:
+    """Return twins of boxes that differ in their loss."""
+    values = [{**BOX, "wall_loss": {"UA": loss}} for loss in losses_w_k]
+    return [replace(twin_file(own), provenance={"after": {"test": {"rmse_k": 0.3}}}) for own in values]
+
+
+def recorded(hidden: Effects, minutes: int = 600) -> RecordedRun:
+    return simulate({**BOX, **hidden}, 1, minutes)
+
+
+def test_a_box_like_its_kind_is_foretold_and_one_unlike_it_is_not() -> None:
+    loss = BOX["wall_loss"]["UA"]
+    others = of_kind((0.9 * loss, 1.1 * loss))
+    like = rehearse(twin_file(), [recorded({})], others)
+    assert len(like) == len(SHARES) and max(like) < 0.5
+    unlike = rehearse(twin_file(), [recorded({"wall_loss": {"UA": 0.4 * loss}})], others)
+    assert max(unlike) == MOST_MISS_K
+
+
+def test_what_the_box_told_of_itself_is_not_known() -> None:
+    loss = BOX["wall_loss"]["UA"]
+    others = of_kind((0.9 * loss, 1.1 * loss))
+    told = replace(twin_file(), effects={**twin_file().effects, "wall_loss": {"UA": Value(9.0 * loss)}})
+    run = recorded({})
+    assert rehearse(told, [run], others) == rehearse(twin_file(), [run], others)
