@@ -20,7 +20,7 @@ from fleet.priors.kind_structure import Rehearsals, Structure, comparable, struc
 from fleet.priors.rehearsal import SHARES, rehearse
 from fleet.settings import NumbersSettings
 
-MOST_BOXES = 6  # of a kind; a box takes some ten seconds of a core for each structure
+MOST_BOXES = 6  # of a kind; a box takes 10 to 50 s of a core for each structure, by the length of its rows
 
 
 @dataclass(frozen=True, slots=True)

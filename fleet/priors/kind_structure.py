@@ -3,8 +3,8 @@
 Diagnoses of boxes that are built alike do not name the same. One has soil where the next has a wall, and what
 one calls a constant heat another puts into its loss, so their values are not of the same things. Each
 structure that a box of the kind has told is therefore fitted to the recordings of all of them, and some that
-join what two have told. The kind's is the simplest of those in which an hour of each box, with what the
-others tell, foretells the rest of it (`rehearsal`): it need not be the one that follows recordings best.
+join what two have told. The kind's is one in which an hour of each box, with what the others tell,
+foretells the rest of it (`rehearsal`): it need not be the one that follows recordings best.
 """
 
 from collections import Counter
@@ -41,7 +41,7 @@ WORTH = 0.8  # times the miss without that heat: a box that misses less with it 
 LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
 USUAL = 1.0  # share of what twins of a kind miss by, as which it counts where nothing was rehearsed
-AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure, less belief in an hour is taken
+AS_GOOD = 1.05  # times the least miss, mean over boxes: less belief in an hour, a simpler structure is taken
 
 
 def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
@@ -165,7 +165,7 @@ def _best(missed: Misses) -> KindChoice:
     # No box counts beyond that: one whose readings are made up may follow its own structure exactly.
     beside = {key: np.log(np.clip(one / least, 1.0, FAR)).mean() for key, one in missed.items()}
     good = [key for key in missed if beside[key] <= min(beside.values()) + np.log(AS_GOOD)]
-    return KindChoice(*min(good, key=lambda key: (len(key[0]), -key[1], beside[key])))
+    return KindChoice(*min(good, key=lambda key: (-key[1], len(key[0]), beside[key])))
 
 
 def _misses_k(twins: Sequence[TwinFile]) -> Floats:
