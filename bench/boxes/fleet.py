@@ -45,6 +45,8 @@ from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from firmware_protocol.virtual_board.plant import Plant
 from fleet.priors.fleet_prior import BoxSheet, fit_prior
 from fleet.priors.kind_structure import (
+    Fits,
+    KindChoice,
     Rehearsals,
     Structure,
     choose,
@@ -228,16 +230,35 @@ def place_of(out: Path, fleet: Sequence[FleetBox]) -> Path:
 
 def give_starts(out: Path, fleet: Sequence[FleetBox], new: Sequence[FleetBox]) -> None:
     """Keep the twin from which each box starts, by the prior of all others."""
-    sheets, wanted = sheets_of(out, fleet), fits_wanted(out, fleet)
-    fits = {(box.name, name): read_twin_file(_fit_path(out, box, name)) for box, name in wanted}
+    fits = known_fits(out, fleet)
     for box in new:
         path = place_of(out, fleet) / f"{box.name}.start.yaml"
         if not path.exists():
-            others = [sheet for other, sheet in sheets.items() if other != box]
-            chosen = choose(others, fits, known_rehearsals(out, fleet, box))
+            others, chosen = choice_of_others(out, fleet, fits, box)
             shares = {kind: one.share for kind, one in chosen.items()}
             prior = fit_prior(in_kind_structure(others, fits, chosen), shares)
             write_twin_file(prior.start(box.start, str(box.design)), path)
+
+
+def known_fits(out: Path, fleet: Sequence[FleetBox]) -> Fits:
+    """Return what is kept of the fleet."""
+    wanted = fits_wanted(out, fleet)
+    return {(box.name, name): read_twin_file(_fit_path(out, box, name)) for box, name in wanted}
+
+
+def choice_of_others(
+    out: Path, fleet: Sequence[FleetBox], fits: Fits, new: FleetBox
+) -> tuple[list[BoxSheet], dict[str, KindChoice]]:
+    """Return what the fleet without a box tells, and what serves a new box of it best."""
+    others = [sheet for other, sheet in sheets_of(out, fleet).items() if other != new]
+    return others, choose(others, fits, known_rehearsals(out, fleet, new))
+
+
+def chosen_fit(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> TwinFile:
+    """Return a box's twin of all that it recorded, in the structure that the others have."""
+    fits = known_fits(out, fleet)
+    _, chosen = choice_of_others(out, fleet, fits, box)
+    return fits[box.name, chosen[str(box.design)].structure]
 
 
 def known_rehearsals(out: Path, fleet: Sequence[FleetBox], new: FleetBox) -> Rehearsals:

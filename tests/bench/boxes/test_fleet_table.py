@@ -1,6 +1,7 @@
 """The count of boxes for which an hour with the prior is worth six without."""
 
-from bench.boxes.fleet import NewBoxRow, table
+from bench.boxes.fleet import FleetBox, NewBoxRow, table
+from bench.boxes.thirty_hours import LongRow, lines
 
 
 def _rows(name, **errors):
@@ -18,3 +19,16 @@ def test_a_box_of_which_nothing_was_learnt_is_worth_nothing():
     ]
     (told,) = (line for line in table(rows) if line.startswith("error_k"))
     assert "is as good as 6 h without in 1 of 5 boxes, and no more than 5% worse in 2" in told
+
+
+def test_thirty_hours_are_counted_as_an_hour_is():
+    rows = [
+        LongRow(FleetBox(5, 1), (1.0, 0.9, 1.04), (100.0, 120.0, 80.0)),
+        LongRow(FleetBox(5, 2), (1.0, 1.0, 1.2), (100.0, 104.0, 100.0)),
+    ]
+    assert [*lines(rows)][-4:] == [
+        "error_k: 1 h and prior is as good as 6 h in 2 of 2, no more than 5% worse in 2",
+        "error_k: 30 h is as good as 6 h in 0 of 2, no more than 5% worse in 1",
+        "cost: 1 h and prior is as good as 6 h in 0 of 2, no more than 5% worse in 1",
+        "cost: 30 h is as good as 6 h in 2 of 2, no more than 5% worse in 2",
+    ]
