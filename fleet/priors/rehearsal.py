@@ -77,11 +77,17 @@ def an_hour(recorded: Sequence[RecordedRun]) -> tuple[RecordedRun, list[Recorded
 
 
 def _spreads(run: RecordedRun) -> Floats:
-    """Return the standard deviation of the heater's duty in each hour of a run, one every STRIDE_S."""
+    """Return the standard deviation of the heater's duty in each hour of a run, one every STRIDE_S.
+
+    0 for an hour of which less than half was measured.
+    """
     time_s, duty = run.columns["time_s"], np.nan_to_num(run.columns["heater_duty"])
+    seen = np.isfinite(run.columns["temp_air_c"])
     begins = np.arange(0.0, time_s[-1] - HOUR_S + 0.5 * STRIDE_S, STRIDE_S)
     rows = np.searchsorted(time_s, [begins, begins + HOUR_S]).T
-    return np.array([duty[begin:end].std() if end > begin else 0.0 for begin, end in rows])
+    return np.array(
+        [duty[begin:end].std() if seen[begin:end].sum() > (end - begin) / 2 else 0.0 for begin, end in rows]
+    )
 
 
 def _measured_rows(run: RecordedRun) -> int:

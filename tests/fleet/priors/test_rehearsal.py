@@ -36,6 +36,14 @@ def test_the_hour_is_the_first_in_which_the_heater_changes_much() -> None:
     assert rest[1].columns["time_s"][0] == 0.0
 
 
+def test_an_hour_that_was_not_measured_is_none() -> None:
+    run = heated(300, (5, 20), (120, 140))
+    run.columns["temp_air_c"][:90] = np.nan
+    hour, rest = an_hour([run])
+    assert np.isfinite(hour.columns["temp_air_c"]).sum() > 30 and len(hour) == 60
+    assert hour.columns["heater_duty"].any() and [len(run) for run in rest] == [170]
+
+
 def test_no_row_is_in_two_of_them() -> None:
     run = heated(300, (95, 140))
     hour, rest = an_hour([run])
