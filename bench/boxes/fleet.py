@@ -186,10 +186,14 @@ def rehearsals_wanted(
 ) -> list[tuple[FleetBox, Structure, tuple[FleetBox, ...]]]:
     """Return each box with each structure, and the others of all and of each fleet that lacks one more."""
     return [
-        (box, name, tuple(other for other in fleet if other not in (box, left_out)))
+        (box, name, _others(fleet, box, left_out))
         for box, name in fits_wanted(out, fleet)
         for left_out in fleet
     ]
+
+
+def _others(fleet: Sequence[FleetBox], *without: FleetBox) -> tuple[FleetBox, ...]:
+    return tuple(box for box in fleet if box not in without)
 
 
 def fits_wanted(out: Path, fleet: Sequence[FleetBox]) -> list[tuple[FleetBox, Structure]]:
@@ -264,10 +268,9 @@ def chosen_fit(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> TwinFile:
 def known_rehearsals(out: Path, fleet: Sequence[FleetBox], new: FleetBox) -> Rehearsals:
     """Return what is kept of the fleet without a box."""
     return {
-        (box.name, name): json.loads(_rehearsal_path(out, box, name, others).read_text())
+        (box.name, name): json.loads(_rehearsal_path(out, box, name, _others(fleet, box, new)).read_text())
         for box, name in fits_wanted(out, fleet)
         if box != new
-        for others in [tuple(other for other in fleet if other not in (box, new))]
     }
 
 
@@ -301,14 +304,18 @@ def _row(out: Path, place: Path, box: FleetBox, start: TwinFile, way: str) -> Ne
     else:
         write_twin_file(found.twin, path.with_suffix(".yaml"))
         driven = drive(box.facts, box.facts.seed, OF_TWIN, found, REFERENCE)
-        day = resample(read_run(out / f"{box.name}.day.csv"), MINUTE_S)
-        error_k = float(np.nanmean(np.abs(free_run_errors(found.twin, day))))
         row = NewBoxRow(
-            box.name, box.odd, way, error_k, driven.cost, driven.mae_k,
+            box.name, box.odd, way, day_error_k(out, box, found.twin), driven.cost, driven.mae_k,
             "; ".join(found.refusals), ", ".join(found.names),
         )  # fmt: skip
     path.write_text(json.dumps(asdict(row)))
     return row
+
+
+def day_error_k(out: Path, box: FleetBox, twin: TwinFile) -> float:
+    """Return the mean error of a free run over a box's day [K]."""
+    day = resample(read_run(out / f"{box.name}.day.csv"), MINUTE_S)
+    return float(np.nanmean(np.abs(free_run_errors(twin, day))))
 
 
 def table(rows: Sequence[NewBoxRow]) -> Iterator[str]:
@@ -358,6 +365,21 @@ def measure(design: int, given: argparse.Namespace) -> list[NewBoxRow]:
     give_starts(given.out, fleet, new)
     in_fleet = sweep(partial(judge_in_fleet, given.out, fleet), new, given.workers, given.dask)
     return [*in_fleet, *(row for lot in alone for row in lot)]
+
+
+def beside_parser(module: str, text: str | None) -> argparse.ArgumentParser:
+    """Return the arguments of a module that stands beside what this one has kept."""
+    parser = argparse.ArgumentParser(prog=f"python -m bench.boxes.{module}", description=text)
+    parser.add_argument("--designs", type=int, nargs="+", choices=KNOWN, required=True)
+    parser.add_argument("--built", type=int, default=4, help="boxes of each design in the fleet (usual: 4)")
+    parser.add_argument("--out", type=Path, default=Path("out") / "boxes_fleet", help="of bench.boxes.fleet")
+    add_arguments(parser)
+    return parser
+
+
+def boxes_of(given: argparse.Namespace) -> list[FleetBox]:
+    """Return the boxes of the designs that are asked for."""
+    return [FleetBox(design, k) for design in given.designs for k in range(1, given.built + 1)]
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -6,7 +6,6 @@ its true parts. Neither knows the sun or the mains of the day that judges, as no
 is learnt from six hours without a prior, and from an hour with one, where `bench.boxes.fleet --out` has it.
 """
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,11 +19,12 @@ from scipy.stats import norm
 from bench.boxes.draw import draw_box
 from bench.boxes.facts import BoxFacts
 from bench.boxes.fleet import (
-    KNOWN,
     LITTLE_H,
     MINUTE_S,
     FleetBox,
     NewBoxRow,
+    beside_parser,
+    boxes_of,
     first_hours,
     place_of,
     record_day,
@@ -33,7 +33,7 @@ from bench.boxes.fleet import (
 from bench.boxes.physics import BoxPhysics
 from bench.boxes.siblings import HEATER, SUN, build
 from bench.header import header
-from edge.core.sweep import add_arguments, sweep
+from edge.core.sweep import sweep
 from edge.formats.reader import read_json
 from edge.formats.run_file import RecordedRun, read_run, resample
 
@@ -221,14 +221,9 @@ def lines(out: Path, found: Sequence[Limits], built: int) -> Iterator[str]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Print a table of boxes, beside what `bench.boxes.fleet` measured of them."""
-    parser = argparse.ArgumentParser(prog="python -m bench.boxes.ideal", description=__doc__)
-    parser.add_argument("--designs", type=int, nargs="+", choices=KNOWN, required=True)
-    parser.add_argument("--built", type=int, default=4, help="boxes of each design in the fleet (usual: 4)")
-    parser.add_argument("--out", type=Path, default=Path("out") / "boxes_fleet", help="of bench.boxes.fleet")
-    add_arguments(parser)
-    given = parser.parse_args(words)
+    given = beside_parser("ideal", __doc__).parse_args(words)
     print("\n".join(header()), flush=True)
-    boxes = [FleetBox(design, k) for design in given.designs for k in range(1, given.built + 1)]
+    boxes = boxes_of(given)
     given.out.mkdir(parents=True, exist_ok=True)
     found = sweep(partial(limits, given.out), boxes, given.workers, given.dask)
     print("\n".join(lines(given.out, found, given.built)))

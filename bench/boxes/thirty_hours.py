@@ -5,7 +5,6 @@ after, in the structure that the others of its kind have. The day judges it too,
 a fit. Its cost is not. Where thirty hours are not worth six, chance has a say in what is counted.
 """
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,24 +14,25 @@ import numpy as np
 
 from bench.boxes.__main__ import OF_TWIN, drive
 from bench.boxes.fleet import (
-    KNOWN,
     LITTLE_H,
-    MINUTE_S,
     NEAR,
     REFERENCE,
     FleetBox,
     NewBoxRow,
+    beside_parser,
+    boxes_of,
     chosen_fit,
+    day_error_k,
     first_hours,
     place_of,
 )
-from bench.boxes.own_data import free_run_errors, quiet
+from bench.boxes.own_data import quiet
 from bench.header import header
 from edge.app.commission import learn
 from edge.config.settings import ControlSettings
-from edge.core.sweep import add_arguments, sweep
+from edge.core.sweep import sweep
 from edge.formats.reader import read_json
-from edge.formats.run_file import read_run, resample
+from edge.formats.run_file import read_run
 from edge.twin.twin_file import read_twin_file
 
 WAYS = ("6 h", "1 h and prior", "30 h")
@@ -51,13 +51,11 @@ def judge(out: Path, built: int, box: FleetBox) -> LongRow:
     """Return a box's row."""
     fleet = [FleetBox(box.design, number) for number in range(1, built + 1)]
     place = place_of(out, fleet)
-    tests, day = (read_run(out / f"{box.name}.{name}.csv") for name in ("tests", "day"))
     # What the daemon needs beside a twin is that of the hour.
-    hour = first_hours(tests, LITTLE_H)
+    hour = first_hours(read_run(out / f"{box.name}.tests.csv"), LITTLE_H)
     found = learn(hour, read_twin_file(place / f"{box.name}.start.yaml"), ControlSettings(), quiet)
     own = replace(chosen_fit(out, fleet, box), sample_s=found.twin.sample_s)
     twin = replace(own, sensor={**own.sensor, "quantisation_k": found.twin.sensor["quantisation_k"]})
-    error_k = float(np.nanmean(np.abs(free_run_errors(twin, resample(day, MINUTE_S)))))
     cost = drive(box.facts, box.facts.seed, OF_TWIN, replace(found, twin=twin), REFERENCE).cost
     rows = [
         read_json(NewBoxRow, folder / f"{box.name}.{way.replace(' ', '-')}.json")
@@ -65,7 +63,7 @@ def judge(out: Path, built: int, box: FleetBox) -> LongRow:
     ]
     known = [[np.inf if row.error_k is None else row.error_k for row in rows]]
     known.append([np.inf if row.cost is None else row.cost for row in rows])
-    return LongRow(box, (*known[0], error_k), (*known[1], cost))
+    return LongRow(box, (*known[0], day_error_k(out, box, twin)), (*known[1], cost))
 
 
 def lines(rows: Sequence[LongRow]) -> Iterator[str]:
@@ -84,14 +82,9 @@ def lines(rows: Sequence[LongRow]) -> Iterator[str]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Print a table of boxes, beside what `bench.boxes.fleet` measured of them."""
-    parser = argparse.ArgumentParser(prog="python -m bench.boxes.thirty_hours", description=__doc__)
-    parser.add_argument("--designs", type=int, nargs="+", choices=KNOWN, required=True)
-    parser.add_argument("--built", type=int, default=4, help="boxes of each design in the fleet (usual: 4)")
-    parser.add_argument("--out", type=Path, default=Path("out") / "boxes_fleet", help="of bench.boxes.fleet")
-    add_arguments(parser)
-    given = parser.parse_args(words)
+    given = beside_parser("thirty_hours", __doc__).parse_args(words)
     print("\n".join(header()), flush=True)
-    boxes = [FleetBox(design, k) for design in given.designs for k in range(1, given.built + 1)]
+    boxes = boxes_of(given)
     rows = sweep(partial(judge, given.out, given.built), boxes, given.workers, given.dask)
     print("\n".join(lines(rows)))
     return 0

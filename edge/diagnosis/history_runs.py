@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge.core.errors import DataError
-from edge.diagnosis.runs import PIECE_ROWS, DiagnosisRuns, diagnosis_runs, pieces
+from edge.diagnosis.runs import PIECE_ROWS, DiagnosisRuns, diagnosis_runs, measured_rows, pieces
 from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
 
@@ -31,7 +31,7 @@ def history_runs(
     if not 0.0 <= test_share < 1.0:
         raise DataError(f"--test-share: {test_share:g} is not in 0..1, 1 left out")
     parts = [piece for stretch in stretches for piece in pieces(stretch)]
-    usable = [part for part in parts if _measured_rows(part) >= PIECE_ROWS]
+    usable = [part for part in parts if measured_rows(part) >= PIECE_ROWS]
     chosen = _with_room(usable)
     left_out = len(parts) - len(chosen)
     if not chosen:
@@ -90,10 +90,6 @@ def _divide(runs: Sequence[RecordedRun], test_share: float) -> tuple[list[Record
 
 def _is_test(run: RecordedRun) -> bool:
     return run.facts.get("role", "").strip().lower() == "test"
-
-
-def _measured_rows(run: RecordedRun) -> int:
-    return _measured_from(run, 0)
 
 
 def _measured_from(run: RecordedRun, row: int) -> int:

@@ -296,9 +296,9 @@ def _training_pieces(name: str, run: RecordedRun, step_s: float, told: list[str]
     parts = pieces(run, step_s)
     names = [name if len(parts) == 1 else f"{name} ({i} of {len(parts)})" for i in range(1, len(parts) + 1)]
     found = [_at_step(of, part, step_s) for of, part in zip(names, parts, strict=True)]
-    kept = [piece for piece in found if _measured_rows(piece.run) >= PIECE_ROWS]
+    kept = [piece for piece in found if measured_rows(piece.run) >= PIECE_ROWS]
     if len(parts) == 1 and not kept:
-        count = _measured_rows(found[0].run)
+        count = measured_rows(found[0].run)
         told.append(f"{name} is left out: it has {count} temperatures, {PIECE_ROWS} are of use")
     if len(parts) > 1:
         short = len(parts) - len(kept)
@@ -332,15 +332,16 @@ def _tell_resampled(name: str, piece: NamedRun, told: list[str]) -> None:
         told.append(f"{name} has rows {usual_s:g} s apart and is resampled to the twin's step")
 
 
-def _measured_rows(run: RecordedRun) -> int:
+def measured_rows(run: RecordedRun) -> int:
+    """Return how many rows have a temperature."""
     return int(np.isfinite(run.columns["temp_air_c"]).sum())
 
 
 def _check_rows(recordings: Sequence[RecordedRun], training: Sequence[NamedRun], step_s: float) -> None:
-    usable = sum(_measured_rows(piece.run) for piece in training)
+    usable = sum(measured_rows(piece.run) for piece in training)
     if usable >= USABLE_ROWS:
         return
-    raw = sum(_measured_rows(run) for run in recordings)
+    raw = sum(measured_rows(run) for run in recordings)
     place = f"{recordings[0].path}: " if len(recordings) == 1 else ""
     finer = f" ({raw} in the recordings; is time_s in seconds?)" if raw >= USABLE_ROWS else ""
     raise DataError(

@@ -96,7 +96,7 @@ def _jobs(
     for kind, wanted in structures(told.sheets).items():
         rigs = [sheet.rig for sheet in told.sheets if sheet.kind == kind]
         names, fitted = comparable(wanted, rigs, fits)
-        if len(fitted) < 2:
+        if len(fitted) < 2:  # nobody tells it anything
             continue
         sha256 = _sha256({rig: told.sha256[rig] for rig in fitted})
         jobs = [

@@ -17,14 +17,14 @@ from edge.core.errors import DataError
 from edge.diagnosis.baselines import bare
 from edge.diagnosis.prepare import errors_over, prepare
 from edge.diagnosis.prior_fit import fit_about, usual_miss_k
-from edge.diagnosis.runs import PIECE_ROWS, diagnosis_runs, pieces
+from edge.diagnosis.runs import PIECE_ROWS, diagnosis_runs, measured_rows, pieces
 from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
 from fleet.priors.fleet_prior import MOST_MISS_K, BoxSheet, fit_prior
 
 Floats = NDArray[np.float64]
 SHARES = (0.25, 0.5, 1.0, 2.0)  # of what twins of the kind miss by: with less an hour is believed more
-HOUR_S, STRIDE_S = 3600.0, 600.0
+HOUR_S, STRIDE_S = 3600.0, 600.0  # STRIDE_S : from the begin of one hour that is looked at to the next
 ROW_S = 10.0  # of step tests; of ticks that are farther apart their own
 FULL = 0.5  # of the largest spread of the heater in an hour: the first such, as tests begin at rest
 KIND = "kind"
@@ -70,7 +70,7 @@ def an_hour(recorded: Sequence[RecordedRun]) -> tuple[RecordedRun, list[Recorded
     begin_s = STRIDE_S * int(np.argmax(spreads[at] >= FULL * most))
     begin, end = np.searchsorted(part.columns["time_s"], [begin_s, begin_s + HOUR_S]).tolist()
     beside = [cut(part, *rows) for rows in ((0, begin), (end, len(part))) if rows[1] > rows[0]]
-    rest = [run for run in (*parts[:at], *beside, *parts[at + 1 :]) if _measured_rows(run) >= PIECE_ROWS]
+    rest = [run for run in (*parts[:at], *beside, *parts[at + 1 :]) if measured_rows(run) >= PIECE_ROWS]
     if not rest:
         raise DataError(f"{part.path}: nothing was recorded beside one hour")
     return cut(part, begin, end), rest
@@ -88,7 +88,3 @@ def _spreads(run: RecordedRun) -> Floats:
     return np.array(
         [duty[begin:end].std() if seen[begin:end].sum() > (end - begin) / 2 else 0.0 for begin, end in rows]
     )
-
-
-def _measured_rows(run: RecordedRun) -> int:
-    return int(np.isfinite(run.columns["temp_air_c"]).sum())
