@@ -37,6 +37,7 @@ IN_A_LINE = re.compile(r"`((?:greenhouse|greenhouse-train|python -m|make) [^`]+)
 A_PATH = re.compile(
     r"`((?:edge|fleet|firmware_protocol|training|bench|tests|tools|deploy|docs|examples)/[\w./-]+)`"
 )
+A_LENT_PARSER = re.compile(r"^from ([\w.]+) import (?:\([^)]*|.*)\bparser_of\b", re.MULTILINE)
 LEAVE, PRINTED = "leave it running", "it prints"
 SHELL = {"sh", "bash"}
 FIGURE = r"(?<![\d.])\d+\.\d+"
@@ -197,7 +198,7 @@ def check(words: list[str]) -> None:
 
 
 def check_module(module: str, rest: list[str]) -> None:
-    """Fail where the module is missing, or an option is in none of its files."""
+    """Fail where the module is missing, or an option is in none of its files, nor in its parser's."""
     found = importlib.util.find_spec(module)
     assert found is not None and found.origin is not None, module
     if module.partition(".")[0] not in ("edge", "fleet", "training", "bench", "firmware_protocol", "tools"):
@@ -208,6 +209,8 @@ def check_module(module: str, rest: list[str]) -> None:
     own = Path(found.origin)
     files = own.parent.rglob("*.py") if own.name == "__init__.py" else [own]
     source = "".join(path.read_text(encoding="utf-8") for path in files)
+    if lender := A_LENT_PARSER.search(source):
+        source += (ROOT / f"{lender[1].replace('.', '/')}.py").read_text(encoding="utf-8")
     for option in (word.partition("=")[0] for word in rest if word.startswith("--")):
         assert f'"{option}"' in source, f"{module} has no {option}"
 

@@ -367,12 +367,14 @@ def measure(design: int, given: argparse.Namespace) -> list[NewBoxRow]:
     return [*in_fleet, *(row for lot in alone for row in lot)]
 
 
-def beside_parser(module: str, text: str | None) -> argparse.ArgumentParser:
-    """Return the arguments of a module that stands beside what this one has kept."""
+def parser_of(module: str, text: str | None) -> argparse.ArgumentParser:
+    """Return the arguments of this module, and of those that stand beside what it has kept."""
     parser = argparse.ArgumentParser(prog=f"python -m bench.boxes.{module}", description=text)
-    parser.add_argument("--designs", type=int, nargs="+", choices=KNOWN, required=True)
+    parser.add_argument("--designs", type=int, nargs="+", choices=KNOWN, required=True, metavar="DESIGN")
     parser.add_argument("--built", type=int, default=4, help="boxes of each design in the fleet (usual: 4)")
-    parser.add_argument("--out", type=Path, default=Path("out") / "boxes_fleet", help="of bench.boxes.fleet")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out") / "boxes_fleet", help="of files that are kept"
+    )
     add_arguments(parser)
     return parser
 
@@ -384,12 +386,7 @@ def boxes_of(given: argparse.Namespace) -> list[FleetBox]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run what is missing and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m bench.boxes.fleet", description=__doc__)
-    parser.add_argument("--designs", type=int, nargs="+", choices=KNOWN, default=[5, 8, 9, 14])
-    parser.add_argument("--built", type=int, default=4, help="boxes of each design in the fleet (usual: 4)")
-    parser.add_argument("--out", type=Path, default=Path("out") / "boxes_fleet")
-    add_arguments(parser)
-    given = parser.parse_args(words)
+    given = parser_of("fleet", __doc__).parse_args(words)
     print("\n".join(header()), flush=True)
     print("\n".join(table([row for design in given.designs for row in measure(design, given)])))
     return 0

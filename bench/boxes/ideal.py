@@ -23,9 +23,9 @@ from bench.boxes.fleet import (
     MINUTE_S,
     FleetBox,
     NewBoxRow,
-    beside_parser,
     boxes_of,
     first_hours,
+    parser_of,
     place_of,
     record_day,
     record_tests,
@@ -221,7 +221,7 @@ def lines(out: Path, found: Sequence[Limits], built: int) -> Iterator[str]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Print a table of boxes, beside what `bench.boxes.fleet` measured of them."""
-    given = beside_parser("ideal", __doc__).parse_args(words)
+    given = parser_of("ideal", __doc__).parse_args(words)
     print("\n".join(header()), flush=True)
     boxes = boxes_of(given)
     given.out.mkdir(parents=True, exist_ok=True)

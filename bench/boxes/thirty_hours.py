@@ -19,11 +19,11 @@ from bench.boxes.fleet import (
     REFERENCE,
     FleetBox,
     NewBoxRow,
-    beside_parser,
     boxes_of,
     chosen_fit,
     day_error_k,
     first_hours,
+    parser_of,
     place_of,
 )
 from bench.boxes.own_data import quiet
@@ -82,7 +82,7 @@ def lines(rows: Sequence[LongRow]) -> Iterator[str]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Print a table of boxes, beside what `bench.boxes.fleet` measured of them."""
-    given = beside_parser("thirty_hours", __doc__).parse_args(words)
+    given = parser_of("thirty_hours", __doc__).parse_args(words)
     print("\n".join(header()), flush=True)
     boxes = boxes_of(given)
     rows = sweep(partial(judge, given.out, given.built), boxes, given.workers, given.dask)
