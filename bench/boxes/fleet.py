@@ -197,9 +197,12 @@ def _others(fleet: Sequence[FleetBox], *without: FleetBox) -> tuple[FleetBox, ..
 
 
 def fits_wanted(out: Path, fleet: Sequence[FleetBox]) -> list[tuple[FleetBox, Structure]]:
-    """Return each box with each structure that its fleet has told."""
-    sheets = [*sheets_of(out, fleet).values()]
-    return [(box, name) for box in fleet for name in structures(sheets)[str(box.design)]]
+    """Return each box with each structure of its fleet, and of each fleet that lacks one more."""
+    sheets = sheets_of(out, fleet)
+    parts = [[*sheets.values()], *([sheets[box] for box in _others(fleet, new)] for new in fleet)]
+    kind = str(fleet[0].design)
+    names = {name for part in parts if part for name in structures(part)[kind]}
+    return [(box, name) for box in fleet for name in sorted(names)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ KINDS_WORTH = 2.0  # boxes: what the whole fleet tells of an effect counts as so
 # Told as the one that keeps the loss as a value of its own, or that has a cause.
 SAME_ANSWER = {"wall_mass": "soil_mass", "unnamed_cut": "heater_derating"}
 OF_BOX = (
-    "soil_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "heater_deadtime", "fan_spinup",
+    "soil_mass", "slow_mass", "heater_lag", "sensor_lag", "imperfect_mixing", "heater_deadtime", "fan_spinup",
     "heater_saturation", "heater_sag", "heater_derating", "natural_convection",
 )  # fmt: skip
 # Groups that answer alike, by the names of its first and second: a plan without any lag swings, and of two in

@@ -3,8 +3,9 @@
 Diagnoses of boxes that are built alike do not name the same. One has soil where the next has a wall, and what
 one calls a constant heat another puts into its loss, so their values are not of the same things. Each
 structure that a box of the kind has told is therefore fitted to the recordings of all of them, and some that
-join what two have told. The kind's is one in which an hour of each box, with what the others tell,
-foretells the rest of it (`rehearsal`): it need not be the one that follows recordings best.
+join what two have told or have a body that no diagnosis names. The kind's is one in which an hour of each
+box, with what the others tell, foretells the rest of it (`rehearsal`): it need not be the one that follows
+recordings best.
 """
 
 from collections import Counter
@@ -34,6 +35,7 @@ Structure = tuple[str, ...]
 Fits = Mapping[tuple[str, Structure], TwinFile]
 Rehearsals = Mapping[tuple[str, Structure], Sequence[float]]  # for each of SHARES, by rig and structure
 Misses = dict[tuple[Structure, float], Floats]  # of each box [K], by structure and share of the usual miss
+BODY, SLOW_BODY = "soil_mass", "slow_mass"
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
 MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to every box
 # WORTH and AS_GOOD were found on a development design, 507 (docs/measured/fleet.md).
@@ -45,23 +47,37 @@ AS_GOOD = 1.05  # times the least miss, mean over boxes: less belief in an hour,
 
 
 def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
-    """Return the structures to fit, by kind: those told most often and unions of two, the simplest ones.
+    """Return the structures to fit, by kind: those told most often, unions of two, one with a slow body.
 
     Of boxes without a kind none.
     """
     found: dict[str, Counter[Structure]] = {}
     for sheet in sheets:
         if sheet.kind:
-            told = told_effects(sheet.twin)
-            found.setdefault(sheet.kind, Counter())[tuple(name for name in OF_BOX if name in told)] += 1
+            found.setdefault(sheet.kind, Counter())[_union(tuple(told_effects(sheet.twin)))] += 1
     return {kind: _with_joined(own) for kind, own in found.items()}
 
 
 def _with_joined(told: Counter[Structure]) -> list[Structure]:
     """Return what most have told, and what two of these make: one box names what the next one lacks."""
     most = [own for own, _ in told.most_common(MOST_TOLD)]
-    joined = {tuple(name for name in OF_BOX if name in {*a, *b}) for a, b in combinations(most, 2)} - {*most}
-    return sorted([*most, *sorted(joined, key=lambda own: (len(own), own))[:MOST_JOINED]])
+    joined = {_union(a, b) for a, b in combinations(most, 2)} - {*most}
+    known = [*most, *sorted(joined, key=lambda own: (len(own), own))[:MOST_JOINED]]
+    return sorted({*known, *_with_slow_body(known)})
+
+
+def _with_slow_body(known: Sequence[Structure]) -> list[Structure]:
+    """Return the fullest structure that has a body with a slower one beside it.
+
+    A diagnosis knows two bodies as one. A day after hours of tests tells them apart, and where one has to do
+    for both, neither the loss nor what bends is that of the box (docs/measured/fleet.md).
+    """
+    with_body = [own for own in known if BODY in own]
+    return [_union(max(with_body, key=lambda own: (len(own), own)), (SLOW_BODY,))] if with_body else []
+
+
+def _union(*structures_: Structure) -> Structure:
+    return tuple(name for name in OF_BOX if any(name in own for own in structures_))
 
 
 def fit_structure(box: TwinFile, data: DiagnosisRuns, names: Structure) -> TwinFile:

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from edge.app.rest_offset import with_rest_offset
 from edge.core.errors import DataError
 from edge.diagnosis.baselines import bare
-from edge.diagnosis.prepare import errors_over, prepare
+from edge.diagnosis.prepare import PreparedRuns, errors_over, prepare
 from edge.diagnosis.prior_fit import fit_about, usual_miss_k
-from edge.diagnosis.runs import PIECE_ROWS, diagnosis_runs, measured_rows, pieces
+from edge.diagnosis.runs import FROM_S, PIECE_ROWS, NamedRun, diagnosis_runs, measured_rows, pieces
+from edge.diagnosis.trial import FittedTwin
 from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
-from fleet.priors.fleet_prior import MOST_MISS_K, BoxSheet, fit_prior
+from fleet.priors.fleet_prior import LEAST_MISS_K, MOST_MISS_K, BoxSheet, fit_prior
 
 Floats = NDArray[np.float64]
 SHARES = (0.25, 0.5, 1.0, 2.0)  # of what twins of the kind miss by: with less an hour is believed more
@@ -31,7 +32,7 @@ KIND = "kind"
 
 
 def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[TwinFile]) -> list[float]:
-    """Return the mean error of free runs [K], for each of SHARES.
+    """Return the mean error of free runs [K], geometric over recordings, for each of SHARES.
 
     MOST_MISS_K where the box was taken for one of another kind, or its twin runs away.
 
@@ -47,16 +48,26 @@ def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[Tw
     prepared = prepare(file, runs)
     usual_k = usual_miss_k(start)
     found = [fit_about(prepared, share * usual_k) for share in SHARES]
-    return [MOST_MISS_K if one is None else _missed_k(errors_over(runs.test, one, prepared)) for one in found]
+    return [MOST_MISS_K if one is None else _missed_k(runs.test, one, prepared) for one in found]
 
 
-def _missed_k(errors_k: Floats) -> float:
-    mean_k = float(np.nanmean(np.abs(errors_k)))
-    return min(mean_k, MOST_MISS_K) if np.isfinite(mean_k) else MOST_MISS_K
+def _missed_k(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> float:
+    """Return the mean error of free runs, geometric over recordings.
+
+    Each counts alike: a day is mostly missed by an offset, its sun, which by rows would hide all else.
+    """
+    missed = [errors_over([run], fitted, known) for run in tests]
+    told = [np.abs(errors_k[~np.isnan(errors_k)]) for errors_k in missed]
+    means_k = [
+        float(np.clip(own.mean(), LEAST_MISS_K, MOST_MISS_K)) if len(own) else MOST_MISS_K for own in told
+    ]
+    return float(np.exp(np.log(means_k).mean()))
 
 
 def an_hour(recorded: Sequence[RecordedRun]) -> tuple[RecordedRun, list[RecordedRun]]:
     """Return the hour that is most like step tests, and what was recorded before and after.
+
+    The latter is the run from its begin, with the fact from where on it is judged.
 
     Errors : DataError for recordings in which no hour has heat, or nothing but it was measured
     """
@@ -69,11 +80,25 @@ def an_hour(recorded: Sequence[RecordedRun]) -> tuple[RecordedRun, list[Recorded
     part = parts[at]
     begin_s = STRIDE_S * int(np.argmax(spreads[at] >= FULL * most))
     begin, end = np.searchsorted(part.columns["time_s"], [begin_s, begin_s + HOUR_S]).tolist()
-    beside = [cut(part, *rows) for rows in ((0, begin), (end, len(part))) if rows[1] > rows[0]]
-    rest = [run for run in (*parts[:at], *beside, *parts[at + 1 :]) if measured_rows(run) >= PIECE_ROWS]
+    rest = [*_usable(parts[:at]), *_beside(part, begin, end), *_usable(parts[at + 1 :])]
     if not rest:
         raise DataError(f"{part.path}: nothing was recorded beside one hour")
     return cut(part, begin, end), rest
+
+
+def _beside(part: RecordedRun, begin: int, end: int) -> list[RecordedRun]:
+    """Return what is before an hour, and the whole with what is after it as the part that is judged.
+
+    A run that began after the hour would not know what a slow body had stored by then.
+    """
+    found = _usable([cut(part, 0, begin)] if begin else [])
+    if end < len(part) and _usable([cut(part, end, len(part))]):
+        found.append(replace(part, facts={**part.facts, FROM_S: f"{part.columns['time_s'][end]:.3f}"}))
+    return found
+
+
+def _usable(runs: Sequence[RecordedRun]) -> list[RecordedRun]:
+    return [run for run in runs if measured_rows(run) >= PIECE_ROWS]
 
 
 def _spreads(run: RecordedRun) -> Floats:

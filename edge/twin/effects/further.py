@@ -20,6 +20,12 @@ def ground_loss(network: Network, G_g: float, T_g: float) -> None:
     network.heat(lambda now: G_g * (T_g - now.ambient))
 
 
+def slow_mass(network: Network, C_m: float, G_m: float) -> None:
+    """A further body beside the soil, slower than it: C_m dT_m/dt = G_m (T - T_m)."""
+    network.add_node("slow", C_m)
+    network.connect(AIR, "slow", G_m)
+
+
 def stack_ventilation(network: Network, F_st: float) -> None:
     """Air that rises out of leaks, F_st at 10 K: Q = -rho c_p F_st sqrt(|T - T_amb| / 10) (T - T_amb)."""
     leak_w_k = network.geometry.volumetric_heat_j_m3_k * F_st
@@ -58,6 +64,14 @@ FURTHER_EFFECTS: Mapping[str, Effect] = by_name(
         source="heat transfer via the ground, ISO 13370",
         without="falls with T, and stays where the room warms",
         offer=Offer.KNOWN_ONLY,
+    ),
+    Effect(
+        slow_mass,
+        (EffectParameter("C_m", "J/K", 100.0, 1e7, 60000.0), EffectParameter("G_m", "W/K", 0.01, 500.0, 2.0)),
+        source="medium node (TiTm), Bacher & Madsen 2011, Energy and Buildings 43",
+        without="follows the change of T over a day: a loss that suits the first hours is too large later",
+        offer=Offer.KNOWN_ONLY,
+        time_constant=("C_m / G_m", lambda own: own["C_m"] / own["G_m"]),
     ),
     Effect(
         stack_ventilation,

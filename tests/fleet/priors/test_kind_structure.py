@@ -26,6 +26,7 @@ from fleet.priors.kind_structure import (
 )
 
 LAG, SOIL, BOTH = ("heater_lag",), ("soil_mass",), ("soil_mass", "heater_lag")
+SLOW = ("soil_mass", "slow_mass", "heater_lag")
 
 
 def told(rig: str, *names: str, kind: str = "tent", miss_k: float = 0.3) -> BoxSheet:
@@ -48,7 +49,7 @@ def in_structure(sheets: list[BoxSheet], known: Fits) -> list[BoxSheet]:
 
 def test_each_structure_that_was_told_is_one_of_its_kind_and_so_is_what_two_have_told_together() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", kind=""), told("d", kind="case")]
-    assert structures(sheets) == {"tent": [LAG, SOIL, BOTH], "case": [()]}
+    assert structures(sheets) == {"tent": [LAG, SOIL, BOTH, SLOW], "case": [()]}
 
 
 def test_of_many_that_were_told_the_simplest_are_joined() -> None:
@@ -58,7 +59,18 @@ def test_of_many_that_were_told_the_simplest_are_joined() -> None:
     sheets.append(told("once", "imperfect_mixing", "heater_lag"))
     wanted = structures(sheets)["tent"]
     assert {(name,) for name in names} <= {*wanted}
-    assert [len(own) for own in wanted if len(own) > 1] == [2] * MOST_JOINED
+    assert sorted(len(own) for own in wanted if len(own) > 1) == [2] * (MOST_JOINED + 1)
+
+
+def test_a_slow_body_is_tried_beside_one_that_was_told_and_beside_all_else() -> None:
+    assert structures([told("a", "heater_lag")]) == {"tent": [LAG]}
+    assert structures([told("a", "soil_mass", "heater_lag"), told("b", "soil_mass")])["tent"] == [
+        SOIL,
+        BOTH,
+        SLOW,
+    ]
+    # A new box tells the twin that it began with.
+    assert structures([told("a", *SLOW), told("b", *SLOW)])["tent"] == [SLOW]
 
 
 def test_the_structure_that_follows_all_boxes_is_the_kinds() -> None:
@@ -157,9 +169,9 @@ def test_a_box_with_readings_that_are_made_up_outvotes_no_three(miss_k: float) -
     assert all("heater_lag" in sheet.twin.effects for sheet in in_structure(sheets, fits(known)))
 
 
-def recorded(hidden: dict[str, dict[str, float]]) -> tuple[TwinFile, DiagnosisRuns]:
+def recorded(hidden: dict[str, dict[str, float]], rows: int = 360) -> tuple[TwinFile, DiagnosisRuns]:
     file = twin_file()
-    return file, history_runs([simulate({**BOX, **hidden}, 1, 360)], file)
+    return file, history_runs([simulate({**BOX, **hidden}, 1, rows)], file)
 
 
 @pytest.mark.slow
@@ -170,6 +182,18 @@ def test_values_in_a_structure_are_those_of_the_recording() -> None:
     # No fit saw the test part, so the figure says how well its kind can be followed.
     (train_k,), (test_k,) = (provenance_numbers(twin, "after", part, "rmse_k") for part in ("train", "test"))
     assert 0.0 < train_k < 0.2 and 0.0 < test_k < 0.3
+
+
+@pytest.mark.slow
+def test_a_slow_body_is_no_loss_of_the_box() -> None:
+    hidden = {"soil_mass": {"C_s": 9000.0, "G_s": 4.0}, "slow_mass": {"C_m": 150_000.0, "G_m": 3.0}}
+    file, runs = recorded(hidden, rows=720)
+    one, two = (fit_structure(file, runs, names).effects for names in (SOIL, SLOW[:2]))
+    # One body for both takes a third of what the slow one stores for a loss.
+    assert one["wall_loss"]["UA"].value > 1.2 * BOX["wall_loss"]["UA"]
+    assert two["wall_loss"]["UA"].value == pytest.approx(BOX["wall_loss"]["UA"], rel=0.1)
+    assert two["soil_mass"]["C_s"].value == pytest.approx(9000.0, rel=0.25)
+    assert two["slow_mass"]["C_m"].value == pytest.approx(150_000.0, rel=0.3)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import pytest
 
 from bench.support.simulated_runs import BOX, Effects, simulate, twin_file
 from edge.core.errors import DataError
+from edge.diagnosis.runs import FROM_S
 from edge.formats.run_file import RecordedRun
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -24,16 +25,21 @@ def heated(minutes: int, *hot: tuple[int, int], step_s: float = 60.0) -> Recorde
     return replace(simulate(BOX, 1, 1), columns=columns)
 
 
+def judged(run: RecordedRun) -> int:
+    """Return how many rows of a run are judged."""
+    return int((run.columns["time_s"] >= float(run.facts.get(FROM_S, 0.0))).sum())
+
+
 def test_the_hour_is_the_first_in_which_the_heater_changes_much() -> None:
     tests, day = heated(240, (20, 35), (180, 200)), heated(600, (30, 60), step_s=10.0)
     hour, rest = an_hour([tests, day])
     assert len(hour) == 60 and hour.columns["heater_duty"][20:35].all()
-    assert [len(run) for run in rest] == [180, 3600]
+    assert [judged(run) for run in rest] == [180, 3600]
     hour, rest = an_hour([heated(240), day])
-    assert len(hour) == 360 and [len(run) for run in rest] == [240, 3240]
+    assert len(hour) == 360 and [judged(run) for run in rest] == [240, 3240]
     hour, rest = an_hour([heated(240, (110, 150))])
-    assert [len(run) for run in (hour, *rest)] == [60, 60, 120]
-    assert rest[1].columns["time_s"][0] == 0.0
+    assert [judged(run) for run in (hour, *rest)] == [60, 60, 120]
+    assert [len(run) for run in rest] == [60, 240]  # what follows knows what was before
 
 
 def test_an_hour_that_was_not_measured_is_none() -> None:
@@ -41,13 +47,13 @@ def test_an_hour_that_was_not_measured_is_none() -> None:
     run.columns["temp_air_c"][:90] = np.nan
     hour, rest = an_hour([run])
     assert np.isfinite(hour.columns["temp_air_c"]).sum() > 30 and len(hour) == 60
-    assert hour.columns["heater_duty"].any() and [len(run) for run in rest] == [170]
+    assert hour.columns["heater_duty"].any() and [judged(run) for run in rest] == [170]
 
 
-def test_no_row_is_in_two_of_them() -> None:
+def test_no_row_is_judged_in_two_of_them() -> None:
     run = heated(300, (95, 140))
     hour, rest = an_hour([run])
-    assert len(hour) + sum(map(len, rest)) == len(run)
+    assert len(hour) + sum(map(judged, rest)) == len(run)
 
 
 @pytest.mark.parametrize("runs", [[], [heated(240)], [heated(30, (5, 10))], [heated(60, (5, 10))]])
@@ -73,6 +79,32 @@ def test_a_box_like_its_kind_is_foretold_and_one_unlike_it_is_not() -> None:
     assert len(like) == len(SHARES) and max(like) < 0.5
     unlike = rehearse(twin_file(), [recorded({"wall_loss": {"UA": 0.4 * loss}})], others)
     assert max(unlike) == MOST_MISS_K
+
+
+def in_rows_of_10_s(run: RecordedRun) -> RecordedRun:
+    """Return a run as step tests record it."""
+    time_s = np.arange(0.0, run.columns["time_s"][-1], 10.0)
+    rows = (time_s // 60.0).astype(int)
+    columns = {name: column[rows] for name, column in run.columns.items()}
+    columns["temp_air_c"] = np.interp(time_s, run.columns["time_s"], run.columns["temp_air_c"])
+    return replace(run, columns=columns | {"time_s": time_s})
+
+
+def test_what_an_hour_stored_in_a_slow_body_is_known_after_it() -> None:
+    hidden = {"slow_mass": {"C_m": 300_000.0, "G_m": 4.0}}
+    others = [
+        replace(own, effects={**own.effects, **twin_file(hidden).effects}) for own in of_kind((4.0, 4.0))
+    ]
+    assert max(rehearse(twin_file(), [in_rows_of_10_s(recorded(hidden, 300))], others)) < 0.15
+
+
+def test_recordings_count_alike_however_long_they_are() -> None:
+    loss = BOX["wall_loss"]["UA"]
+    tests, day = recorded({}, 300), recorded({"constant_heat": {"P0": 10.0}}, 600)
+    others = of_kind((0.95 * loss, 1.05 * loss))
+    short, both = (min(rehearse(twin_file(), runs, others)) for runs in ([tests], [tests, day]))
+    alone = 10.0 / loss  # how far the day is off, by a heat that is not the box's
+    assert both == pytest.approx(np.sqrt(short * alone), rel=0.3)
 
 
 def test_what_the_box_told_of_itself_is_not_known() -> None:
