@@ -2,7 +2,9 @@
 
 Beside what `bench.boxes.fleet --out` has of a box that is new: the twin of its six hours of tests and the day
 after, in the structure that the others of its kind have. The day judges it too, so that its error is one of
-a fit. Its cost is not. Where thirty hours are not worth six, chance has a say in what is counted.
+a fit. Its cost is not. The last column, a cost alone, is that of the box's own equations and true state in
+place of a twin (clairvoyant.py), which nothing that is learnt can know better. Where these are not worth six
+hours either, chance has a say in what is counted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.boxes.__main__ import OF_TWIN, drive
+from bench.boxes.__main__ import CLAIRVOYANT, OF_TWIN, drive
 from bench.boxes.fleet import (
     LITTLE_H,
     NEAR,
@@ -35,12 +37,12 @@ from edge.formats.reader import read_json
 from edge.formats.run_file import read_run
 from edge.twin.twin_file import read_twin_file
 
-WAYS = ("6 h", "1 h and prior", "30 h")
+WAYS = ("6 h", "1 h and prior", "30 h", "own equations")
 
 
 @dataclass(frozen=True, slots=True)
 class LongRow:
-    """Errors over the day that is known [K] and costs, each by WAYS."""
+    """Errors over the day that is known [K], NaN where none is, and costs, each by WAYS."""
 
     box: FleetBox
     error_k: tuple[float, ...]
@@ -56,14 +58,17 @@ def judge(out: Path, built: int, box: FleetBox) -> LongRow:
     found = learn(hour, read_twin_file(place / f"{box.name}.start.yaml"), ControlSettings(), quiet)
     own = replace(chosen_fit(out, fleet, box), sample_s=found.twin.sample_s)
     twin = replace(own, sensor={**own.sensor, "quantisation_k": found.twin.sensor["quantisation_k"]})
-    cost = drive(box.facts, box.facts.seed, OF_TWIN, replace(found, twin=twin), REFERENCE).cost
+    costs = [
+        drive(box.facts, box.facts.seed, way, replace(found, twin=twin), REFERENCE).cost
+        for way in (OF_TWIN, CLAIRVOYANT)
+    ]
     rows = [
         read_json(NewBoxRow, folder / f"{box.name}.{way.replace(' ', '-')}.json")
         for folder, way in ((out, WAYS[0]), (place, WAYS[1]))
     ]
     known = [[np.inf if row.error_k is None else row.error_k for row in rows]]
     known.append([np.inf if row.cost is None else row.cost for row in rows])
-    return LongRow(box, (*known[0], day_error_k(out, box, twin)), (*known[1], cost))
+    return LongRow(box, (*known[0], day_error_k(out, box, twin), np.nan), (*known[1], *costs))
 
 
 def lines(rows: Sequence[LongRow]) -> Iterator[str]:
@@ -71,10 +76,14 @@ def lines(rows: Sequence[LongRow]) -> Iterator[str]:
     yield f"{'box':<8}" + "".join(f"{way:>22}" for way in WAYS)
     for row in rows:
         figures = zip(row.error_k, row.cost, strict=True)
-        yield f"{row.box.name:<8}" + "".join(f"{error_k:13.2f}{cost:9.1f}" for error_k, cost in figures)
+        yield f"{row.box.name:<8}" + "".join(
+            f"{'' if np.isnan(error_k) else f'{error_k:.2f}':>13}{cost:9.1f}" for error_k, cost in figures
+        )
     for key in ("error_k", "cost"):
         every = np.array([getattr(row, key) for row in rows])
         for way, own in list(zip(WAYS, every.T, strict=True))[1:]:
+            if np.isnan(own).all():
+                continue
             worth, near = (int((own <= share * every[:, 0]).sum()) for share in (1.0, 1.0 + NEAR))
             counted = f"in {worth} of {len(rows)}, no more than {NEAR:.0%} worse in {near}"
             yield f"{key}: {way} is as good as 6 h {counted}"

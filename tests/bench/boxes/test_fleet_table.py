@@ -1,5 +1,7 @@
 """The count of boxes for which an hour with the prior is worth six without."""
 
+import numpy as np
+
 from bench.boxes.fleet import FleetBox, NewBoxRow, table
 from bench.boxes.thirty_hours import LongRow, lines
 
@@ -23,12 +25,13 @@ def test_a_box_of_which_nothing_was_learnt_is_worth_nothing():
 
 def test_thirty_hours_are_counted_as_an_hour_is():
     rows = [
-        LongRow(FleetBox(5, 1), (1.0, 0.9, 1.04), (100.0, 120.0, 80.0)),
-        LongRow(FleetBox(5, 2), (1.0, 1.0, 1.2), (100.0, 104.0, 100.0)),
+        LongRow(FleetBox(5, 1), (1.0, 0.9, 1.04, np.nan), (100.0, 120.0, 80.0, 103.0)),
+        LongRow(FleetBox(5, 2), (1.0, 1.0, 1.2, np.nan), (100.0, 104.0, 100.0, 90.0)),
     ]
-    assert [*lines(rows)][-4:] == [
+    assert [*lines(rows)][-5:] == [
         "error_k: 1 h and prior is as good as 6 h in 2 of 2, no more than 5% worse in 2",
         "error_k: 30 h is as good as 6 h in 0 of 2, no more than 5% worse in 1",
         "cost: 1 h and prior is as good as 6 h in 0 of 2, no more than 5% worse in 1",
         "cost: 30 h is as good as 6 h in 2 of 2, no more than 5% worse in 2",
+        "cost: own equations is as good as 6 h in 1 of 2, no more than 5% worse in 2",
     ]
