@@ -25,7 +25,7 @@ from edge.diagnosis.diagnose import Diagnosis, diagnose, fitted_twin
 from edge.diagnosis.prepare import prepare
 from edge.diagnosis.prior_fit import fit_about, usual_miss_k
 from edge.diagnosis.progress import Progress
-from edge.diagnosis.runs import FROM_S, DiagnosisRuns, diagnosis_runs
+from edge.diagnosis.runs import DiagnosisRuns, diagnosis_runs, judged_from
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
 from edge.twin.draws import CORRELATION
@@ -123,7 +123,11 @@ def _learn(
     longest = max(map(len, parts))
     least = min(round(60.0 * HELD_OUT_MIN / STEP_S), longest)
     # One recording for both, so that its second part begins with all that the first one has stored.
-    judging = [(name, _held_out(part)) for name, part in zip(names, parts, strict=True) if len(part) >= least]
+    judging = [
+        (name, judged_from(part, _begin_test(part)))
+        for name, part in zip(names, parts, strict=True)
+        if len(part) >= least
+    ]
     held_out = dict(judging)
     both = [(name, held_out.get(name, part)) for name, part in zip(names, parts, strict=True)]
     runs = diagnosis_runs(both, judging, file)
@@ -269,11 +273,6 @@ def _air_c(twin: BoxTwin, room_c: float, inputs: Commands, before: Commands | No
     conditions = {name: np.zeros(inputs.duty.shape[1]) for name in twin.needs}
     rest = at_rest(twin, twin.signals.room(np.array(room_c)), room_c)
     return np.asarray(twin.rollout(rest, *inputs, room_c, conditions=conditions, before=before)[0])
-
-
-def _held_out(run: RecordedRun) -> RecordedRun:
-    """Return a run that says from where on no fit may see it."""
-    return replace(run, facts={**run.facts, FROM_S: f"{run.columns['time_s'][_begin_test(run)]:.3f}"})
 
 
 def _begin_test(run: RecordedRun) -> int:

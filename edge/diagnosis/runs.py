@@ -332,6 +332,11 @@ def _tell_resampled(name: str, piece: NamedRun, told: list[str]) -> None:
         told.append(f"{name} has rows {usual_s:g} s apart and is resampled to the twin's step")
 
 
+def judged_from(run: RecordedRun, row: int) -> RecordedRun:
+    """Return a run that says from which row on it judges, and no fit may see it."""
+    return replace(run, facts={**run.facts, FROM_S: f"{run.columns['time_s'][row]:.3f}"})
+
+
 def measured_rows(run: RecordedRun) -> int:
     """Return how many rows have a temperature."""
     return int(np.isfinite(run.columns["temp_air_c"]).sum())

@@ -55,11 +55,14 @@ def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
     for sheet in sheets:
         if sheet.kind:
             found.setdefault(sheet.kind, Counter())[_union(tuple(told_effects(sheet.twin)))] += 1
-    return {kind: _with_joined(own) for kind, own in found.items()}
+    return {kind: _to_try(own) for kind, own in found.items()}
 
 
-def _with_joined(told: Counter[Structure]) -> list[Structure]:
-    """Return what most have told, and what two of these make: one box names what the next one lacks."""
+def _to_try(told: Counter[Structure]) -> list[Structure]:
+    """Return what most have told, what two of these make, and one with a slow body.
+
+    One box names what the next one lacks.
+    """
     most = [own for own, _ in told.most_common(MOST_TOLD)]
     joined = {_union(a, b) for a, b in combinations(most, 2)} - {*most}
     known = [*most, *sorted(joined, key=lambda own: (len(own), own))[:MOST_JOINED]]
@@ -76,8 +79,8 @@ def _with_slow_body(known: Sequence[Structure]) -> list[Structure]:
     return [_union(max(with_body, key=lambda own: (len(own), own)), (SLOW_BODY,))] if with_body else []
 
 
-def _union(*structures_: Structure) -> Structure:
-    return tuple(name for name in OF_BOX if any(name in own for own in structures_))
+def _union(*parts: Structure) -> Structure:
+    return tuple(name for name in OF_BOX if any(name in part for part in parts))
 
 
 def fit_structure(box: TwinFile, data: DiagnosisRuns, names: Structure) -> TwinFile:

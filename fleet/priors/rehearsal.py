@@ -17,7 +17,7 @@ from edge.core.errors import DataError
 from edge.diagnosis.baselines import bare
 from edge.diagnosis.prepare import PreparedRuns, errors_over, prepare
 from edge.diagnosis.prior_fit import fit_about, usual_miss_k
-from edge.diagnosis.runs import FROM_S, PIECE_ROWS, NamedRun, diagnosis_runs, measured_rows, pieces
+from edge.diagnosis.runs import PIECE_ROWS, NamedRun, diagnosis_runs, judged_from, measured_rows, pieces
 from edge.diagnosis.trial import FittedTwin
 from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
@@ -58,10 +58,8 @@ def _missed_k(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns
     """
     missed = [errors_over([run], fitted, known) for run in tests]
     told = [np.abs(errors_k[~np.isnan(errors_k)]) for errors_k in missed]
-    means_k = [
-        float(np.clip(own.mean(), LEAST_MISS_K, MOST_MISS_K)) if len(own) else MOST_MISS_K for own in told
-    ]
-    return float(np.exp(np.log(means_k).mean()))
+    means_k = [own.mean() if len(own) else MOST_MISS_K for own in told]
+    return float(np.exp(np.log(np.clip(means_k, LEAST_MISS_K, MOST_MISS_K)).mean()))
 
 
 def an_hour(recorded: Sequence[RecordedRun]) -> tuple[RecordedRun, list[RecordedRun]]:
@@ -93,7 +91,7 @@ def _beside(part: RecordedRun, begin: int, end: int) -> list[RecordedRun]:
     """
     found = _usable([cut(part, 0, begin)] if begin else [])
     if end < len(part) and _usable([cut(part, end, len(part))]):
-        found.append(replace(part, facts={**part.facts, FROM_S: f"{part.columns['time_s'][end]:.3f}"}))
+        found.append(judged_from(part, end))
     return found
 
 
