@@ -1,7 +1,8 @@
 """The best that a plan over 20 min can do: the beam of MPC-Twin over the box's own equations and true state.
 
 Horizon, fan, limits and knowledge of the reference are those of `MPC-Twin-P`, but no twin, filter or noise
-comes between: its step is the tangent of the box at its present state, its sun and its mains.
+comes between: its step is the tangent of the box at its present state, its sun and its mains, with the
+heater on and off in the board's windows.
 """
 
 import numpy as np
@@ -13,9 +14,11 @@ from edge.controllers.twin_plan.linear_step import LinearStep, look_marks
 from edge.core.controller import Context
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import Pbm
+from firmware_protocol.virtual_board.board_config import BoardConfig
 
 Floats = NDArray[np.float64]
-PART_S = 5.0  # in which the fan is on or off
+PART_S = 1.0  # in which the fan is on or off; a slot of the heater's window
+WINDOW_S = BoardConfig().pwm_window_s
 BY_K, BY_DUTY = 0.05, 0.25  # of each state, and of the duty, for the slope
 
 
@@ -48,7 +51,10 @@ def tangent(box: Box, step_s: float, fans: tuple[float, ...], duty_now: float) -
     runs = np.repeat(np.array(fans), rows)
     for part in range(parts):
         on = (runs > (part + 0.5) / parts).astype(np.float64)
-        states = physics.step(states, box.time_s + part * PART_S, PART_S, duty, on)
+        time_s = box.time_s + part * PART_S
+        # Air that rises mixes by more than the gap, so pulses of heat warm it otherwise than their mean.
+        heat = np.clip((duty * WINDOW_S - time_s % WINDOW_S) / PART_S, 0.0, 1.0)
+        states = physics.step(states, time_s, PART_S, heat, on)
         if part + 1 in marks:
             seen.append(physics.reading_c(states))
     after = np.concatenate((physics.reading_c(states)[:, None], states), axis=1)

@@ -38,22 +38,27 @@ def test_the_tuned_pid_costs_less_than_the_rule_that_it_begins_with():
     assert tune_pid(twin, ROOM_C, [course], cools=False)._fan_on_k > 1e3
 
 
-@pytest.mark.parametrize("seed", [7, 9])
-def test_the_clairvoyants_step_is_the_boxs_own(seed):
+@pytest.mark.parametrize("seed", [7, 9, 510])
+def test_the_clairvoyants_step_is_the_boxs_own_under_the_boards_pulses(seed):
     box = Box(draw_box(seed), seed)
-    for _ in range(240):
-        box.step(5.0, 0.5, False, 0.0, False)
+    for time_s in range(1200):
+        box.step(1.0, _relay(time_s, 0.5), False, 0.0, False)
     fans = (0.0, 0.25, 1.0)
     step = tangent(box, 60.0, fans, 0.5)
     state = np.append(box.physics.reading_c(box.state), box.state[0])
     for place, fan in enumerate(fans):
-        for duty in (0.4, 0.6):
+        for duty in (0.4, 0.5, 0.6):
             told = step.matrix[place] @ state + step.constant[place] + step.now[place] * duty
             states = box.state
-            for part in range(12):
-                on = np.array([1.0 if part < 12 * fan else 0.0])
-                states = box.physics.step(states, box.time_s + 5.0 * part, 5.0, np.array([duty]), on)
-            assert told[0] == pytest.approx(float(box.physics.reading_c(states)[0]), abs=0.1)
+            for part in range(60):
+                on, time_s = float(part < 60 * fan), box.time_s + part
+                states = box.physics.step(states, time_s, 1.0, _relay(time_s, duty), on)
+            near = 1e-6 if duty == 0.5 else 0.1
+            assert told[0] == pytest.approx(float(box.physics.reading_c(states)[0]), abs=near)
+
+
+def _relay(time_s: float, duty: float) -> float:
+    return float(time_s % 20.0 < 20.0 * duty)
 
 
 def test_the_tuning_of_the_pid_leaves_the_reference_that_it_is_driven_to(tmp_path):
