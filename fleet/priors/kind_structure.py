@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +28,11 @@ from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.provenance import provenance_numbers
 from edge.twin.twin_file import TwinFile
-from fleet.priors.fleet_prior import LEAST_MISS_K, OF_BOX, BoxSheet, told_effects
+from fleet.priors.fleet_prior import LEAST_MISS_K, MOST_MISS_K, OF_BOX, BoxSheet, told_effects
 from fleet.priors.rehearsal import SHARES
 
 Floats = NDArray[np.float64]
+Choice = TypeVar("Choice")
 Structure = tuple[str, ...]
 Fits = Mapping[tuple[str, Structure], TwinFile]
 Rehearsals = Mapping[tuple[str, Structure], Sequence[float]]  # for each of SHARES, by rig and structure
@@ -172,19 +174,39 @@ def _chosen(
     names, fitted = comparable(names, rigs, fits)
     if len(fitted) < least:
         return None
+    followed = {own: _misses_k([fits[rig, own] for rig in fitted]) for own in names}
     tried, new = comparable(names, fitted, rehearsed)
     if len(new) < least:
-        return _best({(own, USUAL): _misses_k([fits[rig, own] for rig in fitted]) for own in names})
+        return _best({(own, USUAL): missed for own, missed in followed.items()}, followed)
     every = {own: np.array([rehearsed[rig, own] for rig in new]) for own in tried}
-    return _best({(own, share): every[own][:, i] for own in tried for i, share in enumerate(SHARES)})
+    shares = {(own, share): every[own][:, i] for own in tried for i, share in enumerate(SHARES)}
+    return _best(shares, followed)
 
 
-def _best(missed: Misses) -> KindChoice:
-    least = np.maximum(np.min([*missed.values()], axis=0), LEAST_MISS_K)
+def _best(missed: Misses, followed: Mapping[Structure, Floats]) -> KindChoice:
+    """Return what misses least; of what does alike, the structure in which all boxes are followed best.
+
+    Rehearsals by two or three others leave much to chance, and a closer fit of days leaves little.
+
+    followed : by which each structure misses what it was fitted to [K], by box
+    """
+    beside = _beside(missed)
+    good = _as_good(beside)
+    close = _as_good(_beside({own: followed[own] for own, _ in good}))
+    return KindChoice(
+        *min((key for key in good if key[0] in close), key=lambda key: (-key[1], len(key[0]), beside[key]))
+    )
+
+
+def _beside(missed: Mapping[Choice, Floats]) -> dict[Choice, float]:
+    """Return the logarithm of each miss over the least of its box, mean over boxes."""
+    least = np.clip(np.min([*missed.values()], axis=0), LEAST_MISS_K, MOST_MISS_K)
     # No box counts beyond that: one whose readings are made up may follow its own structure exactly.
-    beside = {key: np.log(np.clip(one / least, 1.0, FAR)).mean() for key, one in missed.items()}
-    good = [key for key in missed if beside[key] <= min(beside.values()) + np.log(AS_GOOD)]
-    return KindChoice(*min(good, key=lambda key: (-key[1], len(key[0]), beside[key])))
+    return {key: float(np.log(np.clip(one / least, 1.0, FAR)).mean()) for key, one in missed.items()}
+
+
+def _as_good(beside: Mapping[Choice, float]) -> list[Choice]:
+    return [key for key, one in beside.items() if one <= min(beside.values()) + np.log(AS_GOOD)]
 
 
 def _misses_k(twins: Sequence[TwinFile]) -> Floats:
