@@ -41,11 +41,11 @@ BODY, SLOW_BODY = "soil_mass", "slow_mass"
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
 MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to every box
 # WORTH and AS_GOOD were found on a development design, 507 (docs/measured/fleet.md).
-WORTH = 0.8  # times the miss without that heat: a box that misses less with it has it
+WORTH = 0.8  # times what is missed without a heat or effects more: boxes that miss less with them have them
 LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
 USUAL = 1.0  # share of what twins of a kind miss by, as which it counts where nothing was rehearsed
-AS_GOOD = 1.05  # times the least miss, mean over boxes: less belief in an hour, a simpler structure is taken
+AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure is taken, an hour believed less
 
 
 def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
@@ -184,18 +184,20 @@ def _chosen(
 
 
 def _best(missed: Misses, followed: Mapping[Structure, Floats]) -> KindChoice:
-    """Return what misses least; of what does alike, the structure in which all boxes are followed best.
+    """Return a structure that misses least, and the share at which it believes an hour least.
 
-    Rehearsals by two or three others leave much to chance, and a closer fit of days leaves little.
+    Of structures that miss alike the simplest is taken, unless all boxes are followed much better by another:
+    rehearsals by two or three others leave more to chance than fits of days.
 
     followed : by which each structure misses what it was fitted to [K], by box
     """
     beside = _beside(missed)
-    good = _as_good(beside)
-    close = _as_good(_beside({own: followed[own] for own, _ in good}))
-    return KindChoice(
-        *min((key for key in good if key[0] in close), key=lambda key: (-key[1], len(key[0]), beside[key]))
-    )
+    least = {own: min(beside[key] for key in missed if key[0] == own) for own, _ in missed}
+    good = _near(least, AS_GOOD)
+    close = _near(_beside({own: followed[own] for own in good}), 1.0 / WORTH)
+    structure = min(close, key=lambda own: (len(own), least[own]))
+    shares = _near({share: one for (own, share), one in beside.items() if own == structure}, AS_GOOD)
+    return KindChoice(structure, max(shares))
 
 
 def _beside(missed: Mapping[Choice, Floats]) -> dict[Choice, float]:
@@ -205,8 +207,9 @@ def _beside(missed: Mapping[Choice, Floats]) -> dict[Choice, float]:
     return {key: float(np.log(np.clip(one / least, 1.0, FAR)).mean()) for key, one in missed.items()}
 
 
-def _as_good(beside: Mapping[Choice, float]) -> list[Choice]:
-    return [key for key, one in beside.items() if one <= min(beside.values()) + np.log(AS_GOOD)]
+def _near(beside: Mapping[Choice, float], most: float) -> list[Choice]:
+    """Return what is no more than `most` times the least."""
+    return [key for key, one in beside.items() if one <= min(beside.values()) + np.log(most)]
 
 
 def _misses_k(twins: Sequence[TwinFile]) -> Floats:

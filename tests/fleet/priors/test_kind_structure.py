@@ -108,18 +108,27 @@ def test_the_structure_is_one_in_which_an_hour_foretells_the_rest() -> None:
     assert choose(sheets, known, rehearsed({LAG: bad, SOIL: good})) == {"tent": KindChoice(SOIL, 0.5)}
 
 
-@pytest.mark.parametrize(("closer", "other"), [(LAG, SOIL), (SOIL, LAG)])
-def test_of_structures_that_foretell_alike_the_one_that_follows_recordings_is_taken(
+@pytest.mark.parametrize(("closer", "other"), [(LAG, BOTH), (BOTH, LAG)])
+def test_of_structures_that_foretell_alike_one_that_follows_recordings_much_better_is_taken(
     closer: tuple[str, ...], other: tuple[str, ...]
 ) -> None:
-    sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag")]
+    sheets = [told("a", "heater_lag"), told("b", *BOTH), told("c", "heater_lag")]
     known = fits({(rig, closer): 0.2 for rig in "abc"} | {(rig, other): 0.4 for rig in "abc"})
     alike = rehearsed({closer: [0.51, 0.51, 0.51, 0.51], other: [0.5, 0.5, 0.5, 0.5]}, "abcd")
     assert choose(sheets, known, alike) == {"tent": KindChoice(closer, 2.0)}
+    little = fits({(rig, closer): 0.2 for rig in "abc"} | {(rig, other): 0.22 for rig in "abc"})
+    assert choose(sheets, little, alike) == {"tent": KindChoice(LAG, 2.0)}
     # One whose readings are made up does not say which that is.
     sheets.append(told("d", "heater_lag"))
     known |= fits({("d", closer): 1.0, ("d", other): 1e-9})
     assert choose(sheets, known, alike) == {"tent": KindChoice(closer, 2.0)}
+
+
+def test_the_belief_in_an_hour_is_that_of_the_structure() -> None:
+    sheets = [told("a", "heater_lag"), told("b", *BOTH), told("c", "heater_lag")]
+    known = fits({(rig, BOTH): 0.2 for rig in "abc"} | {(rig, LAG): 0.4 for rig in "abc"})
+    found = choose(sheets, known, rehearsed({BOTH: [0.5, 0.52, 0.6, 0.8], LAG: [0.7, 0.7, 0.7, 0.51]}))
+    assert found == {"tent": KindChoice(BOTH, 0.5)}
 
 
 def test_an_hour_is_believed_no_more_than_it_helps() -> None:
