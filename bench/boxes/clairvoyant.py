@@ -1,24 +1,24 @@
-"""The best that a plan over 20 min can do: the beam of MPC-Twin over the box's own equations and true state.
+"""A limit for plans over 20 min: the beam of MPC-Twin over the box's own equations and true state.
 
 Horizon, fan, limits and knowledge of the reference are those of `MPC-Twin-P`, but no twin, filter or noise
 comes between: its step is the tangent of the box at its present state, its sun and its mains, with the
-heater on and off in the board's windows.
+board's pulses. A box bends, so a plan along the tangent takes full heat for more than it comes to in a large
+step; a twin that was fitted to such steps may plan one better.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.boxes.box import Box
+from bench.boxes.pulses import relay_share
 from edge.controllers.mpc_twin import Belief, MpcTwin, fan_shares
 from edge.controllers.twin_plan.linear_step import LinearStep, look_marks
 from edge.core.controller import Context
 from edge.core.names import HEATER_LEVELS
 from edge.models.pbm import Pbm
-from firmware_protocol.virtual_board.board_config import BoardConfig
 
 Floats = NDArray[np.float64]
 PART_S = 1.0  # in which the fan is on or off; a slot of the heater's window
-WINDOW_S = BoardConfig().pwm_window_s
 BY_K, BY_DUTY = 0.05, 0.25  # of each state, and of the duty, for the slope
 
 
@@ -52,9 +52,7 @@ def tangent(box: Box, step_s: float, fans: tuple[float, ...], duty_now: float) -
     for part in range(parts):
         on = (runs > (part + 0.5) / parts).astype(np.float64)
         time_s = box.time_s + part * PART_S
-        # Air that rises mixes by more than the gap, so pulses of heat warm it otherwise than their mean.
-        heat = np.clip((duty * WINDOW_S - time_s % WINDOW_S) / PART_S, 0.0, 1.0)
-        states = physics.step(states, time_s, PART_S, heat, on)
+        states = physics.step(states, time_s, PART_S, relay_share(duty, time_s, PART_S), on)
         if part + 1 in marks:
             seen.append(physics.reading_c(states))
     after = np.concatenate((physics.reading_c(states)[:, None], states), axis=1)

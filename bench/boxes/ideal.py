@@ -6,6 +6,7 @@ its true parts. Neither knows the sun or the mains of the day that judges, as no
 is learnt from six hours without a prior, and from an hour with one, where `bench.boxes.fleet --out` has it.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -31,6 +32,7 @@ from bench.boxes.fleet import (
     record_tests,
 )
 from bench.boxes.physics import BoxPhysics
+from bench.boxes.pulses import relay_share
 from bench.boxes.siblings import HEATER, SUN, build
 from bench.header import header
 from edge.core.sweep import sweep
@@ -39,6 +41,7 @@ from edge.formats.run_file import RecordedRun, read_run, resample
 
 Floats = NDArray[np.float64]
 ROW_S = 10.0
+PULSE_S = 5.0  # of the heater's window, looked at in parts
 SUN_S, MAINS_S = 600.0, 900.0  # between two knots, as in disturbances.py
 SUNS, MAINS = 7, 5  # knots of an hour
 SMOOTHED = 7  # rows of the room's sensor, which is as coarse as the other
@@ -162,9 +165,12 @@ def simulate(facts: BoxFacts, run: RecordedRun, room_c: Floats, sun: Floats, mai
     physics = BoxPhysics(facts, GivenAround(time_s, room_c, sun, mains))
     states = [physics.start(1, float(time_s[0]))]
     for k, step_s in enumerate(np.diff(time_s)):
-        states.append(
-            physics.step(states[-1], float(time_s[k]), float(step_s), float(duty[k]), float(fan[k]))
-        )
+        parts = math.ceil(step_s / PULSE_S)
+        part_s, now = float(step_s) / parts, states[-1]
+        for begin_s in (float(time_s[k]) + part_s * np.arange(parts)).tolist():
+            heat = float(relay_share(float(duty[k]), begin_s, part_s))
+            now = physics.step(now, begin_s, part_s, heat, float(fan[k]))
+        states.append(now)
     return physics.reading_c(np.concatenate(states))
 
 

@@ -3,8 +3,9 @@
 Beside what `bench.boxes.fleet --out` has of a box that is new: the twin of its six hours of tests and the day
 after, in the structure that the others of its kind have. The day judges it too, so that its error is one of
 a fit. Its cost is not. The last column, a cost alone, is that of the box's own equations and true state in
-place of a twin (clairvoyant.py), which nothing that is learnt can know better. Where these are not worth six
-hours either, chance has a say in what is counted.
+place of a twin (clairvoyant.py), of which nothing that is learnt can know more. They are planned with along
+their tangent, so a twin that was fitted over all of a large step may plan that one better. Where they are not
+worth six hours either, chance has a say in what is counted.
 """
 
 from collections.abc import Iterator, Sequence
