@@ -46,7 +46,6 @@ from firmware_protocol.virtual_board.plant import Plant
 from fleet.priors.fleet_prior import BoxSheet, fit_prior
 from fleet.priors.kind_structure import (
     Fits,
-    KindChoice,
     Rehearsals,
     Structure,
     choose,
@@ -242,8 +241,7 @@ def give_starts(out: Path, fleet: Sequence[FleetBox], new: Sequence[FleetBox]) -
         path = place_of(out, fleet) / f"{box.name}.start.yaml"
         if not path.exists():
             others, chosen = choice_of_others(out, fleet, fits, box)
-            shares = {kind: one.share for kind, one in chosen.items()}
-            prior = fit_prior(in_kind_structure(others, fits, chosen), shares)
+            prior = fit_prior(in_kind_structure(others, fits, chosen))
             write_twin_file(prior.start(box.start, str(box.design)), path)
 
 
@@ -255,7 +253,7 @@ def known_fits(out: Path, fleet: Sequence[FleetBox]) -> Fits:
 
 def choice_of_others(
     out: Path, fleet: Sequence[FleetBox], fits: Fits, new: FleetBox
-) -> tuple[list[BoxSheet], dict[str, KindChoice]]:
+) -> tuple[list[BoxSheet], dict[str, Structure]]:
     """Return what the fleet without a box tells, and what serves a new box of it best."""
     others = [sheet for other, sheet in sheets_of(out, fleet).items() if other != new]
     return others, choose(others, fits, known_rehearsals(out, fleet, new))
@@ -265,7 +263,7 @@ def chosen_fit(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> TwinFile:
     """Return a box's twin of all that it recorded, in the structure that the others have."""
     fits = known_fits(out, fleet)
     _, chosen = choice_of_others(out, fleet, fits, box)
-    return fits[box.name, chosen[str(box.design)].structure]
+    return fits[box.name, chosen[str(box.design)]]
 
 
 def known_rehearsals(out: Path, fleet: Sequence[FleetBox], new: FleetBox) -> Rehearsals:

@@ -29,12 +29,12 @@ class BoxRehearsal(FleetTable):
     """The error of a box as if it were new, by the others of its kind in a structure.
 
     structure : as in StructureFit; told_sha256 : of what the kind's boxes had told then
-    missed_k : for each share of the kind's usual miss, as `fleet.priors.rehearsal.SHARES`
+    missed_k : of `fleet.priors.rehearsal.rehearse`
     """
 
-    __tablename__ = "rehearsals"
+    __tablename__ = "box_rehearsals"
     rig: Mapped[str] = mapped_column(ForeignKey("rigs.name"), primary_key=True)
     structure: Mapped[str] = mapped_column(String(STRUCTURE_MAX), primary_key=True)
     told_sha256: Mapped[str] = mapped_column(String(64))
     utc: Mapped[float]
-    missed_k: Mapped[list[float]] = mapped_column(JSON)
+    missed_k: Mapped[float]

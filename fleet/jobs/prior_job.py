@@ -31,9 +31,8 @@ def renew_prior(engine: Engine, utc: float) -> RenewedPrior:
     """Fit the prior anew and keep it. Errors: DataError where no rig has told a twin"""
     told = told_sheets(engine)
     fits = known_fits(engine, told)
-    chosen = choose(told.sheets, fits, known_rehearsals(engine, told))
-    shared = in_kind_structure(told.sheets, fits, chosen)
-    prior = fit_prior(shared, {kind: one.share for kind, one in chosen.items()})
+    shared = in_kind_structure(told.sheets, fits, choose(told.sheets, fits, known_rehearsals(engine, told)))
+    prior = fit_prior(shared)
     every = {sheet.rig: sheet for sheet in (*told.sheets, *shared)}
     far = [(rig, one) for rig, sheet in every.items() for one in prior.far_values(sheet)]
     with Session(engine) as session, session.begin():

@@ -4,7 +4,7 @@ Values are compared as shares of what is usual for the box's heater and step, so
 tell a new kind something.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -121,12 +121,8 @@ class FleetPrior:
         return Value(float(f"{value:.6g}"), rel_sd=float(f"{about.sd:.3g}"))
 
 
-def fit_prior(sheets: Sequence[BoxSheet], counts_as: Mapping[str, float] | None = None) -> FleetPrior:
-    """Learn from boxes.
-
-    counts_as : by kind, share of what its twins miss by, as which that counts for a new box; usual: 1
-    Errors : DataError without any
-    """
+def fit_prior(sheets: Sequence[BoxSheet]) -> FleetPrior:
+    """Learn from boxes. Errors: DataError without any"""
     if not sheets:
         raise DataError("no box has told its twin yet")
     shares = _shares(sheets)
@@ -135,9 +131,7 @@ def fit_prior(sheets: Sequence[BoxSheet], counts_as: Mapping[str, float] | None 
         for name, told in _shared_values(sheet, _likely(shares[sheet.kind])).items():
             found.setdefault(name, []).append((told.mean, told.sd, sheet.kind))
     values = {name: fit_population(*zip(*own, strict=True)) for name, own in found.items()}
-    share = counts_as or {}
-    misses_k = {kind: share.get(kind, 1.0) * miss_k for kind, miss_k in _misses_k(sheets).items()}
-    return FleetPrior(shares, values, misses_k)
+    return FleetPrior(shares, values, _misses_k(sheets))
 
 
 def _speakers(sheets: Sequence[BoxSheet], shares: dict[str, dict[str, float]]) -> list[BoxSheet]:

@@ -10,9 +10,8 @@ recordings best.
 
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +28,12 @@ from edge.diagnosis.unknowns import with_usual
 from edge.twin.provenance import provenance_numbers
 from edge.twin.twin_file import TwinFile
 from fleet.priors.fleet_prior import LEAST_MISS_K, MOST_MISS_K, OF_BOX, BoxSheet, told_effects
-from fleet.priors.rehearsal import SHARES
 
 Floats = NDArray[np.float64]
-Choice = TypeVar("Choice")
 Structure = tuple[str, ...]
 Fits = Mapping[tuple[str, Structure], TwinFile]
-Rehearsals = Mapping[tuple[str, Structure], Sequence[float]]  # for each of SHARES, by rig and structure
-Misses = dict[tuple[Structure, float], Floats]  # of each box [K], by structure and share of the usual miss
+Rehearsals = Mapping[tuple[str, Structure], float]  # what is missed [K], by rig and structure
+Misses = dict[Structure, Floats]  # of each box [K]
 BODY, SLOW_BODY = "soil_mass", "slow_mass"
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
 MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to every box
@@ -44,8 +41,7 @@ MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to ever
 WORTH = 0.8  # times what is missed without a heat or effects more: boxes that miss less with them have them
 LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
-USUAL = 1.0  # share of what twins of a kind miss by, as which it counts where nothing was rehearsed
-AS_GOOD = 1.05  # times the least miss, mean over boxes: a simpler structure is taken, an hour believed less
+AS_GOOD = 1.1  # times the least miss, mean over boxes: a simpler structure is taken
 
 
 def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
@@ -114,16 +110,8 @@ def _miss_k(twin: TwinFile, part: str) -> float:
     return max(provenance_numbers(twin, "after", part, "rmse_k"), default=np.inf)
 
 
-@dataclass(frozen=True, slots=True)
-class KindChoice:
-    """The choice for a kind. share : of what its twins miss by, as which that counts for a new box"""
-
-    structure: Structure
-    share: float = USUAL
-
-
-def choose(sheets: Sequence[BoxSheet], fits: Fits, rehearsed: Rehearsals) -> dict[str, KindChoice]:
-    """Return what serves new boxes of each kind best; nothing of a kind without fits.
+def choose(sheets: Sequence[BoxSheet], fits: Fits, rehearsed: Rehearsals) -> dict[str, Structure]:
+    """Return the structure that serves new boxes of each kind best; nothing of a kind without fits.
 
     fits, rehearsed : by rig and structure
     """
@@ -137,14 +125,14 @@ def choose(sheets: Sequence[BoxSheet], fits: Fits, rehearsed: Rehearsals) -> dic
 
 
 def in_kind_structure(
-    sheets: Sequence[BoxSheet], fits: Fits, chosen: Mapping[str, KindChoice]
+    sheets: Sequence[BoxSheet], fits: Fits, chosen: Mapping[str, Structure]
 ) -> list[BoxSheet]:
     """Return the boxes of each kind with their twins in its structure; of a kind without one as they are."""
     found = []
     for kind in sorted({sheet.kind for sheet in sheets}):
         mine = [sheet for sheet in sheets if sheet.kind == kind]
         if kind in chosen:
-            names = chosen[kind].structure
+            names = chosen[kind]
             mine = [
                 replace(sheet, twin=fits[sheet.rig, names]) for sheet in mine if (sheet.rig, names) in fits
             ]
@@ -168,7 +156,7 @@ def comparable(
 
 def _chosen(
     names: Sequence[Structure], rigs: Sequence[str], fits: Fits, rehearsed: Rehearsals
-) -> KindChoice | None:
+) -> Structure | None:
     """Return what suits a kind; None where too few of its boxes can be compared."""
     least = min(LEAST_BOXES, len(rigs))
     names, fitted = comparable(names, rigs, fits)
@@ -177,39 +165,34 @@ def _chosen(
     followed = {own: _misses_k([fits[rig, own] for rig in fitted]) for own in names}
     tried, new = comparable(names, fitted, rehearsed)
     if len(new) < least:
-        return _best({(own, USUAL): missed for own, missed in followed.items()}, followed)
-    every = {own: np.array([rehearsed[rig, own] for rig in new]) for own in tried}
-    shares = {(own, share): every[own][:, i] for own in tried for i, share in enumerate(SHARES)}
-    return _best(shares, followed)
+        return _best(followed, followed)
+    return _best({own: np.array([rehearsed[rig, own] for rig in new]) for own in tried}, followed)
 
 
-def _best(missed: Misses, followed: Mapping[Structure, Floats]) -> KindChoice:
-    """Return a structure that misses least, and the share at which it believes an hour least.
+def _best(missed: Misses, followed: Misses) -> Structure:
+    """Return a structure that misses least.
 
-    Of structures that miss alike the simplest is taken, unless all boxes are followed much better by another:
+    Of those that miss alike the simplest is taken, unless all boxes are followed much better by another:
     rehearsals by two or three others leave more to chance than fits of days.
 
-    followed : by which each structure misses what it was fitted to [K], by box
+    followed : what it was fitted to
     """
     beside = _beside(missed)
-    least = {own: min(beside[key] for key in missed if key[0] == own) for own, _ in missed}
-    good = _near(least, AS_GOOD)
+    good = _near(beside, AS_GOOD)
     close = _near(_beside({own: followed[own] for own in good}), 1.0 / WORTH)
-    structure = min(close, key=lambda own: (len(own), least[own]))
-    shares = _near({share: one for (own, share), one in beside.items() if own == structure}, AS_GOOD)
-    return KindChoice(structure, max(shares))
+    return min(close, key=lambda own: (len(own), beside[own]))
 
 
-def _beside(missed: Mapping[Choice, Floats]) -> dict[Choice, float]:
+def _beside(missed: Misses) -> dict[Structure, float]:
     """Return the logarithm of each miss over the least of its box, mean over boxes."""
     least = np.clip(np.min([*missed.values()], axis=0), LEAST_MISS_K, MOST_MISS_K)
     # No box counts beyond that: one whose readings are made up may follow its own structure exactly.
-    return {key: float(np.log(np.clip(one / least, 1.0, FAR)).mean()) for key, one in missed.items()}
+    return {own: float(np.log(np.clip(one / least, 1.0, FAR)).mean()) for own, one in missed.items()}
 
 
-def _near(beside: Mapping[Choice, float], most: float) -> list[Choice]:
+def _near(beside: Mapping[Structure, float], most: float) -> list[Structure]:
     """Return what is no more than `most` times the least."""
-    return [key for key, one in beside.items() if one <= min(beside.values()) + np.log(most)]
+    return [own for own, one in beside.items() if one <= min(beside.values()) + np.log(most)]
 
 
 def _misses_k(twins: Sequence[TwinFile]) -> Floats:

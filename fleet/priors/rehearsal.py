@@ -2,8 +2,7 @@
 
 Days are in store of boxes that run, so what a start is for can be tried on them. Each in turn is learnt from
 an hour of its own, with the prior of the others of its kind, and its twin then runs free over all that was
-recorded beside: leave one out. This tells in which structure a kind says most of a new box, and how far an
-hour may be believed beside it.
+recorded beside: leave one out. This tells in which structure a kind says most of a new box.
 """
 
 from collections.abc import Sequence
@@ -24,15 +23,14 @@ from edge.twin.twin_file import TwinFile
 from fleet.priors.fleet_prior import LEAST_MISS_K, MOST_MISS_K, BoxSheet, fit_prior
 
 Floats = NDArray[np.float64]
-SHARES = (0.25, 0.5, 1.0, 2.0)  # of what twins of the kind miss by: with less an hour is believed more
 HOUR_S, STRIDE_S = 3600.0, 600.0  # STRIDE_S : from the begin of one hour that is looked at to the next
 ROW_S = 10.0  # of step tests; of ticks that are farther apart their own
 FULL = 0.5  # of the largest spread of the heater in an hour: the first such, as tests begin at rest
 KIND = "kind"
 
 
-def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[TwinFile]) -> list[float]:
-    """Return the mean error of free runs [K], geometric over recordings, for each of SHARES.
+def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[TwinFile]) -> float:
+    """Return the mean error of free runs [K], geometric over recordings.
 
     MOST_MISS_K where the box was taken for one of another kind, or its twin runs away.
 
@@ -46,9 +44,8 @@ def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[Tw
     file = with_rest_offset(replace(start, sample_s=step_s), hour)
     runs = diagnosis_runs([("hour", hour)], [(f"rest {i}", run) for i, run in enumerate(rest, 1)], file)
     prepared = prepare(file, runs)
-    usual_k = usual_miss_k(start)
-    found = [fit_about(prepared, share * usual_k) for share in SHARES]
-    return [MOST_MISS_K if one is None else _missed_k(runs.test, one, prepared) for one in found]
+    found = fit_about(prepared, usual_miss_k(start))
+    return MOST_MISS_K if found is None else _missed_k(runs.test, found, prepared)
 
 
 def _missed_k(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> float:

@@ -21,8 +21,6 @@ from fleet.jobs.rehearsal_job import known_rehearsals, rehearse_kinds
 from fleet.jobs.structure_job import DAY_S, fit_structures, known_fits
 from fleet.jobs.told_sheets import told_sheets
 from fleet.numbers.victoria import Numbers
-from fleet.priors.kind_structure import choose
-from fleet.priors.rehearsal import SHARES
 from fleet.settings import DatabaseSettings, NumbersSettings
 
 LAG = {"heater_lag": {"tau_h": 400.0}}
@@ -103,8 +101,7 @@ def test_a_kind_has_the_structure_that_its_numbers_show(engine: Engine, tmp_path
         assert rehearsed.keys() == known_fits(engine, told).keys()
         renew_prior(engine, NIGHT + 2.0)
         prior = newest_prior(engine)
-        share = choose(told.sheets, known_fits(engine, told), rehearsed)["tent"].share
-        assert share in SHARES and prior.misses_k["tent"] < 0.3 * share
+        assert prior.misses_k["tent"] < 0.3
         assert prior.structure("tent") == ("heater_lag",)
         start = prior.start(twin_file({**BOX, **FAN}), "tent")
         assert start.effects["heater_lag"]["tau_h"].value == pytest.approx(400.0, rel=0.2)

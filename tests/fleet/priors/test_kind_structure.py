@@ -17,7 +17,6 @@ from fleet.priors.kind_structure import (
     ANY_HEAT,
     MOST_JOINED,
     Fits,
-    KindChoice,
     Rehearsals,
     choose,
     fit_structure,
@@ -91,21 +90,20 @@ def test_a_simpler_structure_that_is_nearly_as_good_is_taken() -> None:
     assert all("soil_mass" in sheet.twin.effects for sheet in in_structure(sheets, known))
 
 
-def rehearsed(misses_k: dict[tuple[str, ...], list[float]], rigs: str = "abc") -> Rehearsals:
-    """Return the same for each box. misses_k : by structure, for each of SHARES"""
+def rehearsed(misses_k: dict[tuple[str, ...], float], rigs: str = "abc") -> Rehearsals:
+    """Return the same for each box. misses_k : by structure"""
     return {(rig, names): own for names, own in misses_k.items() for rig in rigs}
 
 
 def test_the_structure_is_one_in_which_an_hour_foretells_the_rest() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag")]
     known = fits({(rig, names): 0.2 for rig in "abc" for names in (LAG, SOIL)})
-    bad, good = [0.8, 0.7, 0.6, 0.7], [0.6, 0.4, 0.5, 0.7]
-    assert choose(sheets, known, {}) == {"tent": KindChoice(LAG)}
-    assert choose(sheets, known, rehearsed({LAG: bad, SOIL: good})) == {"tent": KindChoice(SOIL, 0.5)}
-    assert choose(sheets, known, rehearsed({LAG: good, SOIL: bad})) == {"tent": KindChoice(LAG, 0.5)}
+    assert choose(sheets, known, {}) == {"tent": LAG}
+    assert choose(sheets, known, rehearsed({LAG: 0.6, SOIL: 0.4})) == {"tent": SOIL}
+    assert choose(sheets, known, rehearsed({LAG: 0.4, SOIL: 0.6})) == {"tent": LAG}
     # It need not be the one that follows what was recorded.
     known = fits({(rig, LAG): 0.1 for rig in "abc"} | {(rig, SOIL): 0.3 for rig in "abc"})
-    assert choose(sheets, known, rehearsed({LAG: bad, SOIL: good})) == {"tent": KindChoice(SOIL, 0.5)}
+    assert choose(sheets, known, rehearsed({LAG: 0.6, SOIL: 0.4})) == {"tent": SOIL}
 
 
 @pytest.mark.parametrize(("closer", "other"), [(LAG, BOTH), (BOTH, LAG)])
@@ -114,46 +112,32 @@ def test_of_structures_that_foretell_alike_one_that_follows_recordings_much_bett
 ) -> None:
     sheets = [told("a", "heater_lag"), told("b", *BOTH), told("c", "heater_lag")]
     known = fits({(rig, closer): 0.2 for rig in "abc"} | {(rig, other): 0.4 for rig in "abc"})
-    alike = rehearsed({closer: [0.51, 0.51, 0.51, 0.51], other: [0.5, 0.5, 0.5, 0.5]}, "abcd")
-    assert choose(sheets, known, alike) == {"tent": KindChoice(closer, 2.0)}
+    alike = rehearsed({closer: 0.51, other: 0.5}, "abcd")
+    assert choose(sheets, known, alike) == {"tent": closer}
     little = fits({(rig, closer): 0.2 for rig in "abc"} | {(rig, other): 0.22 for rig in "abc"})
-    assert choose(sheets, little, alike) == {"tent": KindChoice(LAG, 2.0)}
+    assert choose(sheets, little, alike) == {"tent": LAG}
     # One whose readings are made up does not say which that is.
     sheets.append(told("d", "heater_lag"))
     known |= fits({("d", closer): 1.0, ("d", other): 1e-9})
-    assert choose(sheets, known, alike) == {"tent": KindChoice(closer, 2.0)}
-
-
-def test_the_belief_in_an_hour_is_that_of_the_structure() -> None:
-    sheets = [told("a", "heater_lag"), told("b", *BOTH), told("c", "heater_lag")]
-    known = fits({(rig, BOTH): 0.2 for rig in "abc"} | {(rig, LAG): 0.4 for rig in "abc"})
-    found = choose(sheets, known, rehearsed({BOTH: [0.5, 0.52, 0.6, 0.8], LAG: [0.7, 0.7, 0.7, 0.51]}))
-    assert found == {"tent": KindChoice(BOTH, 0.5)}
-
-
-def test_an_hour_is_believed_no_more_than_it_helps() -> None:
-    sheets = [told("a", "heater_lag"), told("b", "heater_lag"), told("c", "heater_lag")]
-    known = fits({(rig, LAG): 0.2 for rig in "abc"})
-    assert choose(sheets, known, rehearsed({LAG: [0.5, 0.5, 0.51, 0.6]})) == {"tent": KindChoice(LAG, 1.0)}
-    assert choose(sheets, known, rehearsed({LAG: [0.4, 0.5, 0.51, 0.6]})) == {"tent": KindChoice(LAG, 0.25)}
+    assert choose(sheets, known, alike) == {"tent": closer}
 
 
 @pytest.mark.parametrize("lie_k", [1e-9, 1e3])
-def test_a_box_that_lies_does_not_say_how_far_others_hours_are_believed(lie_k: float) -> None:
-    sheets = [told(rig, "heater_lag") for rig in "abcd"]
-    known = fits({(rig, LAG): 0.2 for rig in "abcd"})
-    honest = rehearsed({LAG: [0.7, 0.3, 0.5, 0.7]})
-    lies = {("d", LAG): [1e3, 1e3, 1e3, lie_k]}
-    assert choose(sheets, known, honest | lies) == {"tent": KindChoice(LAG, 0.5)}
+def test_a_box_that_lies_does_not_outvote_rehearsals_of_three(lie_k: float) -> None:
+    sheets = [*(told(rig, "heater_lag") for rig in "abc"), told("d", "soil_mass")]
+    known = fits({(rig, names): 0.2 for rig in "abcd" for names in (LAG, SOIL)})
+    honest = rehearsed({LAG: 0.3, SOIL: 0.6})
+    lies = {("d", LAG): 1e3, ("d", SOIL): lie_k}
+    assert choose(sheets, known, honest | lies) == {"tent": LAG}
 
 
 def test_what_was_rehearsed_in_part_is_compared_as_far_as_it_goes() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", "heater_lag")]
     known = fits({(rig, names): 0.2 for rig in "abc" for names in (LAG, SOIL)})
-    alone = rehearsed({LAG: [0.3, 0.3, 0.5, 0.7], SOIL: [0.1, 0.1, 0.1, 0.1]}, "a")
-    assert choose(sheets, known, alone) == {"tent": KindChoice(LAG)}
-    two = rehearsed({LAG: [0.3, 0.2, 0.5, 0.7]}, "ab")
-    assert choose(sheets, known, two) == {"tent": KindChoice(LAG, 0.5)}
+    alone = rehearsed({LAG: 0.3, SOIL: 0.1}, "a")
+    assert choose(sheets, known, alone) == {"tent": LAG}
+    two = rehearsed({LAG: 0.6, SOIL: 0.2}, "ab")
+    assert choose(sheets, known, two) == {"tent": SOIL}
 
 
 def test_boxes_that_were_not_fitted_tell_what_they_told() -> None:
