@@ -37,7 +37,7 @@ Misses = dict[Structure, Floats]  # of each box [K]
 BODY, SLOW_BODY = "soil_mass", "slow_mass"
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
 MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to every box
-# WORTH and AS_GOOD were found on a development design, 507 (docs/measured/fleet.md).
+# WORTH was found on a development design, 507, AS_GOOD on 507 to 510 (docs/measured/fleet.md).
 WORTH = 0.8  # times what is missed without a heat or effects more: boxes that miss less with them have them
 LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
