@@ -6,7 +6,7 @@ good enough is refused, with the reason.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,7 @@ from edge.diagnosis.prepare import prepare
 from edge.diagnosis.prior_fit import fit_about, usual_miss_k
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import DiagnosisRuns, diagnosis_runs, judged_from
+from edge.diagnosis.unknowns import with_usual
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
 from edge.twin.draws import CORRELATION
@@ -38,6 +39,7 @@ from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest
 
 Floats = NDArray[np.float64]
+Search = Callable[[TwinFile], tuple[Diagnosis, TwinFile, float]]
 TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
 # Of free runs on those rows, and by the band that was seen. By twins that were off by 1.03 and 1.87 K plans
 # cost 0.4 and 0.8 times those of the paper's MPC (docs/measured/control.md).
@@ -47,6 +49,7 @@ BY_SEARCH = ("added", "after", CORRELATION)  # of a provenance; not true of a ba
 SEEN_MIN_K = 2.0  # that the air must have risen
 PROMISED_SHARE = 0.5  # of what a fleet's start says that it moves in these tests, where that is less
 LONGEST_MIN = 1440.0  # of tests that it proposes
+CUT, FADING = "unnamed_cut", "heater_derating"
 HELD_OUT_MIN = 20.0  # of a stretch whose newest rows no fit sees; a shorter one is only fitted
 
 
@@ -140,11 +143,11 @@ def _learn(
     begun, about = file, _about_prior(file, parts[0], runs)
     if about is None:
         return None
-    found, chosen, error_k = search(about)
+    found, chosen, error_k = search_past_cuts(about, search)
     usual = with_usual_fan(file) if any((*implausible(chosen), *odd(chosen))) else None
     if usual is not None and (about := _about_prior(usual, parts[0], runs)) is not None:
         begun = usual
-        found, chosen, error_k = search(about)
+        found, chosen, error_k = search_past_cuts(about, search)
     if PRIOR in chosen.provenance:  # it is of its kind: what judged it may be fitted too
         every = diagnosis_runs(list(zip(names, parts, strict=True)), [], file)
         again = _about_prior(begun, parts[0], every)
@@ -177,6 +180,19 @@ def _learn(
         tuple(odd(chosen)),
         better_model(found, error_k),
     )
+
+
+def search_past_cuts(begin: TwinFile, search: Search) -> tuple[Diagnosis, TwinFile, float]:
+    """Return what a search finds, from a heater that fades where else it finds a cut and nothing better.
+
+    Both answer alike, but a plan along the twin's tangent does not see a cut until the air is there.
+    """
+    found = search(begin)
+    _, chosen, error_k = found
+    if CUT not in chosen.effects:
+        return found
+    other = search(with_usual(begin, FADING))
+    return other if CUT not in other[1].effects and other[2] <= error_k else found
 
 
 def _about_prior(start: TwinFile, begin: RecordedRun, runs: DiagnosisRuns) -> TwinFile | None:
