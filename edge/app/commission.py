@@ -183,9 +183,10 @@ def _learn(
 
 
 def search_past_cuts(begin: TwinFile, search: Search) -> tuple[Diagnosis, TwinFile, float]:
-    """Return what a search finds, from a heater that fades where else it finds a cut and nothing better.
+    """Return what a search finds; where that is a cut of the heat, what it finds from a heater that fades.
 
-    Both answer alike, but a plan along the twin's tangent does not see a cut until the air is there.
+    The latter only without a cut and with no larger error. Both answer alike, but a plan along the twin's
+    tangent does not see a cut until the air is there.
     """
     found = search(begin)
     _, chosen, error_k = found

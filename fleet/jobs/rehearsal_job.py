@@ -20,7 +20,7 @@ from fleet.priors.kind_structure import Rehearsals, Structure, comparable, struc
 from fleet.priors.rehearsal import rehearse
 from fleet.settings import NumbersSettings
 
-MOST_BOXES = 6  # of a kind; a box takes 5 to 25 s of a core for each structure, by the length of its rows
+MOST_BOXES = 6  # of a kind; with a day in store a box takes 2 to 6 s of a core for each structure
 
 
 @dataclass(frozen=True, slots=True)
