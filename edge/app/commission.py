@@ -30,6 +30,7 @@ from edge.diagnosis.unknowns import with_usual
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
 from edge.twin.draws import CORRELATION
+from edge.twin.effects.library import EFFECTS
 from edge.twin.effects.plausible import implausible, odd, with_usual_fan
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
@@ -49,7 +50,6 @@ BY_SEARCH = ("added", "after", CORRELATION)  # of a provenance; not true of a ba
 SEEN_MIN_K = 2.0  # that the air must have risen
 PROMISED_SHARE = 0.5  # of what a fleet's start says that it moves in these tests, where that is less
 LONGEST_MIN = 1440.0  # of tests that it proposes
-CUT, FADING = "unnamed_cut", "heater_derating"
 HELD_OUT_MIN = 20.0  # of a stretch whose newest rows no fit sees; a shorter one is only fitted
 
 
@@ -143,11 +143,11 @@ def _learn(
     begun, about = file, _about_prior(file, parts[0], runs)
     if about is None:
         return None
-    found, chosen, error_k = search_past_cuts(about, search)
+    found, chosen, error_k = search_past_steps(about, search)
     usual = with_usual_fan(file) if any((*implausible(chosen), *odd(chosen))) else None
     if usual is not None and (about := _about_prior(usual, parts[0], runs)) is not None:
         begun = usual
-        found, chosen, error_k = search_past_cuts(about, search)
+        found, chosen, error_k = search_past_steps(about, search)
     if PRIOR in chosen.provenance:  # it is of its kind: what judged it may be fitted too
         every = diagnosis_runs(list(zip(names, parts, strict=True)), [], file)
         again = _about_prior(begun, parts[0], every)
@@ -182,18 +182,19 @@ def _learn(
     )
 
 
-def search_past_cuts(begin: TwinFile, search: Search) -> tuple[Diagnosis, TwinFile, float]:
-    """Return what a search finds; where that is a cut of the heat, what it finds from a heater that fades.
+def search_past_steps(begin: TwinFile, search: Search) -> tuple[Diagnosis, TwinFile, float]:
+    """Return what a search finds; where that is a step in the heat, what it finds from a gentler effect.
 
-    The latter only without a cut and with no larger error. Both answer alike, but a plan along the twin's
-    tangent does not see a cut until the air is there.
+    The latter only without the step and with no larger error. Both answer alike, but a plan along the twin's
+    tangent does not see a step until the air is there.
     """
     found = search(begin)
-    _, chosen, error_k = found
-    if CUT not in chosen.effects:
-        return found
-    other = search(with_usual(begin, FADING))
-    return other if CUT not in other[1].effects and other[2] <= error_k else found
+    steps = {name: EFFECTS[name].gentler for name in found[1].effects if EFFECTS[name].gentler}
+    for step, gentler in steps.items():
+        other = search(with_usual(begin, gentler))
+        if step not in other[1].effects and other[2] <= found[2]:
+            found = other
+    return found
 
 
 def _about_prior(start: TwinFile, begin: RecordedRun, runs: DiagnosisRuns) -> TwinFile | None:

@@ -114,6 +114,7 @@ class Effect:
     stands_in : it may be added without being named where much is unexplained
     must_change : commands that must change in the runs for that
     counts_days : it counts days from the twin file's `day0_utc`
+    gentler : an effect that often follows the data as well and that a plan along the twin's tangent sees
     """
 
     add: Callable[..., None]
@@ -136,6 +137,7 @@ class Effect:
     stands_in: bool = False
     must_change: tuple[str, ...] = ()
     counts_days: bool = False
+    gentler: str = ""
 
     @property
     def name(self) -> str:

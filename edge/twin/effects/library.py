@@ -67,6 +67,7 @@ UNNAMED_EFFECTS: Mapping[str, Effect] = by_name(
         without="negative in proportion to the duty while the box is warm",
         offer=Offer.NAMELESS,
         stands_in=True,
+        gentler="heater_derating",
     ),
 )
 

@@ -15,7 +15,7 @@ ALL = (*DEVELOPMENT, *SCORED)
 # They drive the boxes by the daemon and its controllers; what a box is knows nothing of them.
 DRIVERS = {
     *("__main__.py", "bodies.py", "clairvoyant.py", "days.py", "fleet.py", "ideal.py", "own_data.py"),
-    *("pilot.py", "thirty_hours.py", "tuned_pid.py"),
+    *("pilot.py", "pulses.py", "thirty_hours.py", "tuned_pid.py"),
 }
 
 

@@ -5,9 +5,11 @@ from typing import Any
 import pytest
 
 from bench.support.simulated_runs import twin_file
-from edge.app.commission import CUT, FADING, search_past_cuts
+from edge.app.commission import search_past_steps
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.twin_file import TwinFile
+
+CUT, FADING = "unnamed_cut", "heater_derating"
 
 
 @pytest.mark.parametrize(
@@ -22,7 +24,7 @@ def test_a_heater_that_fades_is_tried_where_a_cut_is_found(
         found = begin if fades and not cuts_again else with_usual(begin, CUT)
         return None, found, with_k if fades else without_k
 
-    _, twin, error_k = search_past_cuts(twin_file(), search)
+    _, twin, error_k = search_past_steps(twin_file(), search)
     assert taken in twin.effects and error_k == (with_k if taken == FADING else without_k)
 
 
@@ -33,5 +35,5 @@ def test_without_a_cut_there_is_one_search() -> None:
         begun.append(begin)
         return None, begin, 0.3
 
-    assert search_past_cuts(twin_file(), search)[1:] == (twin_file(), 0.3)
+    assert search_past_steps(twin_file(), search)[1:] == (twin_file(), 0.3)
     assert begun == [twin_file()]
