@@ -15,15 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.boxes.__main__ import CLAIRVOYANT, OF_TWIN, drive
+from bench.boxes.__main__ import CLAIRVOYANT, OF_TWIN
 from bench.boxes.fleet import (
     LITTLE_H,
     NEAR,
-    REFERENCE,
     FleetBox,
     NewBoxRow,
     boxes_of,
     chosen_fit,
+    cost_of,
     day_error_k,
     first_hours,
     parser_of,
@@ -59,10 +59,7 @@ def judge(out: Path, built: int, box: FleetBox) -> LongRow:
     found = learn(hour, read_twin_file(place / f"{box.name}.start.yaml"), ControlSettings(), quiet)
     own = replace(chosen_fit(out, fleet, box), sample_s=found.twin.sample_s)
     twin = replace(own, sensor={**own.sensor, "quantisation_k": found.twin.sensor["quantisation_k"]})
-    costs = [
-        drive(box.facts, box.facts.seed, way, replace(found, twin=twin), REFERENCE).cost
-        for way in (OF_TWIN, CLAIRVOYANT)
-    ]
+    costs = [cost_of(box, way, replace(found, twin=twin)) for way in (OF_TWIN, CLAIRVOYANT)]
     rows = [
         read_json(NewBoxRow, folder / f"{box.name}.{way.replace(' ', '-')}.json")
         for folder, way in ((out, WAYS[0]), (place, WAYS[1]))
