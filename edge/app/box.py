@@ -76,9 +76,9 @@ def box_bounds(file: TwinFile) -> BoxBounds:
     heater_w = file.geometry["heater_max_w"].value
     if file.to_fit():
         return unknown_box(heater_w, file.fan_role)
-    twin = replace(file, sample_s=STEP_S).twin()
+    twin = file.twin().in_steps(STEP_S)
     warming, blown = (_rise(twin, fan, TESTS_S) for fan in (0.0, 1.0))
-    settled_k = float(_rise(_in_long_steps(twin), 0.0, SETTLED_S)[-1])
+    settled_k = float(_rise(twin.in_steps(HOUR_S), 0.0, SETTLED_S)[-1])
     loss_w_k = heater_w / warming[-1]
     least = LOSS_FRESH if file.provenance.get("command") == COMMISSION else LOSS[0]
     is_exhaust = file.fan_role == "exhaust"  # one that stirs may warm the air as well as cool it
@@ -125,14 +125,6 @@ def _without_false_names(bounds: BoxBounds, twin: BoxTwin, warming: Floats, sett
     )
 
 
-def _in_long_steps(twin: BoxTwin) -> BoxTwin:
-    """Return the twin in steps of an hour, or in its own where a small quick store forbids long ones."""
-    try:
-        return replace(twin, step_s=HOUR_S)
-    except DataError:
-        return twin
-
-
 def _rise(twin: BoxTwin, fan: float, until_s: float) -> Floats:
     """Return the air over the room after each step of full heat from rest, from its beginning on [K]."""
     duty: Floats = np.outer([1.0, 0.0], np.ones(round(until_s / twin.step_s)))
@@ -169,7 +161,7 @@ def _run(twin: BoxTwin, start: Floats, duty: Floats, fan: Floats) -> Floats:
 
 def _fastest_k_s(twin: BoxTwin) -> float:
     """Return the fastest change of the air: full heat from rest, or the fan in the warmest box [K/s]."""
-    quick = replace(twin, step_s=MOMENT_S)
+    quick = twin.in_steps(MOMENT_S)
     warming = _rise(quick, 0.0, QUICK_S)
     blown = _cooling(quick, HOTTEST_K, 1.0, QUICK_S)
     return max(float(np.abs(np.diff(air)).max()) for air in (warming, blown)) / MOMENT_S

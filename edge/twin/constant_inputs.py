@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.twin.discretisation import exponential
-from edge.twin.effects.library import build
 from edge.twin.model import DAY_S, BoxTwin
 from edge.twin.network import AIR, ROOM, LinearSystem
 
@@ -184,7 +183,7 @@ def _system(twin: BoxTwin, inputs: ConstantInputs) -> LinearSystem:
     """Return the twin's system with what passes through its bodies, and with the body that was not seen."""
     if not inputs.seen_s > 0.0:
         return twin.system
-    network = build(twin.geometry, twin.effects, twin.step_s)
+    network = twin.network()
     outward = [path for path in network.paths if ROOM in path[:2]]
     for name, capacity_j_k in network.nodes.items():
         if not any(name in path[:2] for path in outward):

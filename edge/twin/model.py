@@ -5,7 +5,7 @@ With no effects it is the paper's PBM (eq. pbm): dT/dt = H/(rho V C_p) - F (T - 
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,7 @@ from edge.core.errors import DataError
 from edge.twin.discretisation import Transition, discretise
 from edge.twin.effects.library import Effects, build, day_counter, needs
 from edge.twin.geometry import Geometry
-from edge.twin.network import AIR, LinearSystem
+from edge.twin.network import AIR, LinearSystem, Network
 from edge.twin.rollout import Commands, March, has_shares, rollout
 from edge.twin.signals import Conditions, Signals, columns_of
 
@@ -44,6 +44,7 @@ class BoxTwin:
 
     effects : parameters by effect, as in `edge.twin.effects.library.EFFECTS`
     step_s : length of a step [s]
+    fitted_s : step by which the ranges of its values go, None for step_s
     day0_utc : where the days begin that an effect counts [s since 1970], None where no effect counts them
     fan_control : of FAN_CONTROLS, what a fan of 0 to 1 is. With a relay it is the share of the step, from its
         beginning, for which the fan is on; else the speed that it has throughout, as share of the full flow
@@ -56,16 +57,25 @@ class BoxTwin:
     noise: StateNoise = field(default_factory=StateNoise)
     day0_utc: float | None = None
     fan_control: str = FAN_CONTROLS[0]
+    fitted_s: float | None = None
     system: LinearSystem = field(init=False)
     signals: Signals = field(init=False)
 
     def __post_init__(self) -> None:
         if not (self.step_s > 0.0 and np.isfinite(self.step_s)):
             raise DataError(f"sample_s: {self.step_s:g} is not a finite number above 0")
-        network = build(self.geometry, self.effects, self.step_s)
+        network = self.network()
         system = network.system()
         object.__setattr__(self, "system", system)  # frozen for all but its own making
         object.__setattr__(self, "signals", network.signals)
+
+    def network(self) -> Network:
+        """Return its bodies and paths, anew."""
+        return build(self.geometry, self.effects, self.fitted_s or self.step_s)
+
+    def in_steps(self, step_s: float) -> "BoxTwin":
+        """Return the twin in other steps, whose ranges its values need not keep to."""
+        return replace(self, step_s=step_s, fitted_s=self.fitted_s or self.step_s)
 
     @cached_property
     def off_on(self) -> Transition:

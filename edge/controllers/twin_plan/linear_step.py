@@ -6,7 +6,7 @@ a twin whose heat is linear in its temperatures; else it is the tangent at the s
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from math import lcm
 
@@ -91,12 +91,13 @@ def linear_step(
         source[first + size + 4] = 1.0 / twin.step_s
     part_s = twin.step_s / parts
     begins_s = np.linspace(0.0, twin.step_s, parts, endpoint=False, dtype=np.float64)
-    march = (twin if parts == 1 else replace(twin, step_s=part_s)).march(
+    march = twin.march(
         Commands(_in_parts(duty, parts), fan_in_parts(fan[:, None], begins_s, part_s, twin.step_s)),
         _in_parts(ambient + room, parts),
         _in_parts(source, parts),
         conditions,
         Commands(_in_parts(before, parts), _in_parts(fan_before, parts)),
+        part_s,
     )
     marks, seen = look_marks(parts), []
     for part in range(parts):

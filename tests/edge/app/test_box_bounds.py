@@ -150,6 +150,17 @@ def test_a_store_too_small_for_long_steps_has_bounds_too(tmp_path):
     assert small.loss_min_w_k == pytest.approx(larger.loss_min_w_k, rel=0.01)
 
 
+def test_a_heater_slower_than_any_that_is_looked_at_in_short_steps_has_bounds_too(tmp_path):
+    slow, slower = (box_bounds(fitted(tmp_path, f"heater_lag: {{tau_h: {s}}}")) for s in (7190, 7210))
+    assert slow.element_lag_s == pytest.approx(slower.element_lag_s, rel=0.01)
+
+
+def test_a_box_recorded_in_steps_of_ten_minutes_may_be_slower_than_others(tmp_path):
+    file = fitted(tmp_path, "heater_lag: {tau_h: 7000.0}")
+    slow = {"heater_lag": {"tau_h": replace(file.effects["heater_lag"]["tau_h"], value=100_000.0)}}
+    assert box_bounds(replace(file, sample_s=600.0, effects={**file.effects, **slow})).element_lag_s > 1e5
+
+
 def test_a_light_box_with_a_strong_fan_may_cool_faster(tmp_path):
     path = tmp_path / "light.yaml"
     path.write_text(
