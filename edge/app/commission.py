@@ -20,12 +20,12 @@ from edge.app.step_test_rows import stretches
 from edge.config.settings import ControlSettings
 from edge.core.errors import DataError, RequestError
 from edge.diagnosis.adopted_twin import round_value
-from edge.diagnosis.baselines import bare
 from edge.diagnosis.diagnose import Diagnosis, diagnose, fitted_twin
 from edge.diagnosis.prepare import prepare
-from edge.diagnosis.prior_fit import fit_about, usual_miss_k
+from edge.diagnosis.prior_fit import far_values, fit_about, usual_miss_k
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import DiagnosisRuns, diagnosis_runs, judged_from
+from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.unknowns import with_usual
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
@@ -81,7 +81,7 @@ class Commissioned:
 
     names : effects that the twin has beside those of the description
     refusals : why it must not control, empty where it may
-    doubts : what is odd about the twin and may be a wrong figure of the description
+    doubts : what is odd about the twin and may be a wrong figure of the description, or another kind
     better : a simple model that predicts clearly better than the twin, and its error [K]; None without one
     arx : the fallback, None where none could be fitted
     """
@@ -99,20 +99,12 @@ class Commissioned:
 def learn(
     run: RecordedRun, start: TwinFile, control: ControlSettings, progress: Progress, jobs: int = 1
 ) -> Commissioned:
-    """Fit the twin to the tests and judge it; a box that is unlike its kind as if it had no fleet.
+    """Fit the twin to the tests and judge it.
 
     start : the box's description, values to be fitted in it; or what a fleet made of that
     control : its step, and the room that is assumed without a sensor
     Errors : RequestError for a box that did not answer, DataError for a run that nothing can be fitted to
     """
-    found = _learn(run, start, control, progress, jobs)
-    return found or learn(run, bare(start), control, progress, jobs)
-
-
-def _learn(
-    run: RecordedRun, start: TwinFile, control: ControlSettings, progress: Progress, jobs: int
-) -> Commissioned | None:
-    """As `learn`, with what the start knows; None where the tests are of a box that its prior is not of."""
     if (moved_k := _moved_k(run)) < (least_k := _least_move_k(run, start)):
         minutes = len(run) * STEP_S / 60.0
         longer = 30.0 * math.ceil(minutes * least_k / max(moved_k, 1e-9) / 30.0)
@@ -140,19 +132,15 @@ def _learn(
         found = diagnose(begin, runs, progress, COMMISSION, jobs)
         return found, *chosen_twin(found, limit_k)
 
-    begun, about = file, _about_prior(file, parts[0], runs)
-    if about is None:
-        return None
+    begun, (about, fitted) = file, _about_prior(file, parts[0], runs)
     found, chosen, error_k = search_past_steps(about, search)
     usual = with_usual_fan(file) if any((*implausible(chosen), *odd(chosen))) else None
-    if usual is not None and (about := _about_prior(usual, parts[0], runs)) is not None:
-        begun = usual
+    if usual is not None:
+        begun, (about, fitted) = usual, _about_prior(usual, parts[0], runs)
         found, chosen, error_k = search_past_steps(about, search)
     if PRIOR in chosen.provenance:  # it is of its kind: what judged it may be fitted too
         every = diagnosis_runs(list(zip(names, parts, strict=True)), [], file)
-        again = _about_prior(begun, parts[0], every)
-        if again is None:
-            return None
+        again, _ = _about_prior(begun, parts[0], every, fitted)
         chosen = replace(again, provenance={**chosen.provenance, **again.provenance})
     step_k = max(step_of(run.columns["temp_air_c"]), start.sensor.get("quantisation_k") or 0.0)
     twin = replace(chosen, sample_s=control.step_s, sensor={**chosen.sensor, "quantisation_k": step_k})
@@ -177,7 +165,7 @@ def _learn(
         _fallback(parts, control.step_s, start),
         expectation,
         refusals,
-        tuple(odd(chosen)),
+        (*odd(chosen), *(far_values(start, chosen) if PRIOR in chosen.provenance else ())),
         better_model(found, error_k),
     )
 
@@ -197,18 +185,18 @@ def search_past_steps(begin: TwinFile, search: Search) -> tuple[Diagnosis, TwinF
     return found
 
 
-def _about_prior(start: TwinFile, begin: RecordedRun, runs: DiagnosisRuns) -> TwinFile | None:
-    """Return a start that a fleet gave, fitted; None for a box that is unlike its kind; another as it is.
+def _about_prior(
+    start: TwinFile, begin: RecordedRun, runs: DiagnosisRuns, near: FittedTwin | None = None
+) -> tuple[TwinFile, FittedTwin | None]:
+    """Return a start that a fleet gave, fitted; another as it is, and None.
 
-    begin : the tests, or their first part
+    begin : the tests, or their first part; near : what was fitted to less of them
     """
     if PRIOR not in start.provenance:
-        return start
-    found = fit_about(prepare(with_rest_offset(start, begin), runs), usual_miss_k(start))
-    if found is None:
-        return None
+        return start, None
+    found = fit_about(prepare(with_rest_offset(start, begin), runs), usual_miss_k(start), near)
     twin = fitted_twin(found)
-    return replace(twin, provenance={**twin.provenance, PRIOR: start.provenance[PRIOR]})
+    return replace(twin, provenance={**twin.provenance, PRIOR: start.provenance[PRIOR]}), found
 
 
 def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFile, float]:

@@ -5,8 +5,14 @@ stirs, and what warms unevenly has no place in it. A fit that knows of no such e
 a slow mass, and is sure of it. So the reading may drift from what the twin says, by as much as twins of the
 kind miss by (Kennedy and O'Hagan 2001, J. Royal Statistical Society B 63: model inadequacy). An hour that is
 missed by more than that had something in it that days of other boxes had not, and counts for less.
+
+A box may be odd in one thing, as by a lid that stands open. So what is far from its kind is held to it less
+the farther it is, by tails of Student's t (West 1984, J. Royal Statistical Society B 46), and the rest of the
+box is still its kind's.
 """
 
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,19 +24,21 @@ from edge.diagnosis.noise_levels import first_levels
 from edge.diagnosis.prepare import PreparedRuns
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin, SizedTerm
+from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 
 Floats = NDArray[np.float64]
-# These, WIDER and DOUBT were found on development boxes (docs/measured/fleet.md).
+# These, DOUBT and TAILS were found on development boxes (docs/measured/fleet.md).
+SMALL = 1e-3
 USUAL_MISS_K = 0.3  # where the fleet does not tell what twins of the kind miss by
 DRIFT_TAU_S = 600.0  # over which errors go together
 DRIFT_SHARE = 0.95  # of the drift's variance that its terms hold
 MOST_POINTS, MOST_TERMS = 360, 30  # of a run: more cost time in tests of a day and tell nothing
-WIDER = 3.0  # times the spread of its kind: a box that this suits better is of another
 DOUBT = 2.0  # power of what an hour is missed by, in usual misses, by which it counts less
-BETTER_NATS = 1.0  # positive evidence (Kass and Raftery 1995, JASA 90)
+FAR_SPREADS = 3.0  # a value so far from its kind's is told
+TAILS, ROUNDS = 3.0, 5  # degrees of freedom of a value's prior; fits in which its spread settles
 
 
 def usual_miss_k(file: TwinFile) -> float:
@@ -38,45 +46,62 @@ def usual_miss_k(file: TwinFile) -> float:
     return max(provenance_numbers(file, PRIOR, USUAL_MISS), default=0.0) or USUAL_MISS_K
 
 
-def fit_about(prepared: PreparedRuns, miss_k: float) -> FittedTwin | None:
+def far_values(start: TwinFile, twin: TwinFile) -> Iterator[str]:
+    """Say which values of a fitted twin are far from those of its kind.
+
+    start : what a fleet made of the description
+    """
+    fitted = twin.values()
+    for place, usual in start.values().items():
+        if place in fitted and usual.rel_sd and usual.value > 0.0:
+            ratio = max(fitted[place].value / usual.value, SMALL)
+            spreads = math.log(ratio) / math.log1p(usual.rel_sd)
+            if abs(spreads) > FAR_SPREADS:
+                name = ".".join(place[1:])
+                far = f"{ratio:.2g} times that of its kind ({spreads:+.1f} spreads)"
+                yield f"{name} is {far}: is the kind right?"
+
+
+def fit_about(prepared: PreparedRuns, miss_k: float, near: FittedTwin | None = None) -> FittedTwin:
     """Return the twin with its uncertain values at their best.
 
-    miss_k : of free runs by twins of its kind, RMS
-    Returns : None where the runs are of a box that the prior is not of
+    miss_k : of free runs by twins of its kind, RMS; near : the same twin, fitted to a part of the runs
     Errors : DataError for a twin that the runs can't be fitted to
     """
     file, runs = prepared.file, prepared.runs
     rooms = tuple(term for term in prepared.terms if term.of_room)
     terms = (*rooms, *drifts(runs.duty.shape, file.sample_s, miss_k))
     noise_k = first_levels(file, runs).sensor_k
-    (found,) = fit_values([file], terms, runs, noise_k, SideBySide())
-    found = _fit_with_doubt(found, file, runs, float(np.hypot(miss_k, noise_k)))
-    wide = tuple(replace(item, sd=WIDER * item.sd) for item in found.free)
-    (unlike,) = fit([replace(found.trial, file=found.file, free=wide)], runs, FINELY)
-    return None if _evidence(unlike) > _evidence(found) + BETTER_NATS else found
-
-
-def _fit_with_doubt(found: FittedTwin, file: TwinFile, runs: RunBatch, usual_k: float) -> FittedTwin:
-    """Return a fit to runs that count less, where its free run misses them by more than is usual.
-
-    file : what it was fitted from
-    """
+    (found,) = fit_values([file], terms, runs, noise_k, SideBySide(), [near])
+    usual, usual_k = found.free, float(np.hypot(miss_k, noise_k))
+    found = _fit_with_tails(found, usual, runs)
     beyond = rms_k(found, runs) / usual_k
-    if beyond <= 1.0:
-        return found
-    levels = free_levels(found.trial.levels.sensor_k * beyond**DOUBT)
-    begins = [replace(found.trial, file=one, free=found.free, levels=levels) for one in (found.file, file)]
-    return max(fit(begins, runs, FINELY), key=lambda one: one.log_likelihood)
+    return found if beyond <= 1.0 else _fit_with_doubt(found, usual, file, runs, beyond)
 
 
-def _evidence(found: FittedTwin) -> float:
-    """How likely the runs are with all values that the prior allows [nats, up to a constant of the data].
+def _fit_with_tails(found: FittedTwin, usual: Sequence[UnknownValue], runs: RunBatch) -> FittedTwin:
+    """Return a fit by priors of Student's t in place of the usual ones, by iteratively reweighted spreads."""
+    for _ in range(ROUNDS):
+        away = [(x - item.mean) / item.sd for x, item in zip(found.coordinates, usual, strict=True)]
+        free = tuple(
+            replace(item, sd=item.sd * float(np.sqrt((TAILS + z**2) / (TAILS + 1.0))))
+            for z, item in zip(away, usual, strict=True)
+        )
+        (found,) = fit([replace(found.trial, file=found.file, free=free)], runs, FINELY)
+    return found
 
-    By Laplace's approximation.
+
+def _fit_with_doubt(
+    found: FittedTwin, usual: tuple[UnknownValue, ...], file: TwinFile, runs: RunBatch, beyond: float
+) -> FittedTwin:
+    """Return a fit to runs that count less, as its free run misses them by more than is usual.
+
+    file : what it was fitted from; beyond : the miss in usual misses
     """
-    sign, log_volume = np.linalg.slogdet(found.covariance)
-    spreads = float(np.log([item.sd for item in found.free]).sum())
-    return found.log_likelihood + 0.5 * float(log_volume) - spreads if sign > 0.0 else -np.inf
+    levels = free_levels(found.trial.levels.sensor_k * beyond**DOUBT)
+    begins = [replace(found.trial, file=one, free=usual, levels=levels) for one in (found.file, file)]
+    best = max(fit(begins, runs, FINELY), key=lambda one: one.log_likelihood)
+    return _fit_with_tails(best, usual, runs)
 
 
 def drifts(shape: tuple[int, int], step_s: float, miss_k: float) -> tuple[SizedTerm, ...]:

@@ -32,7 +32,7 @@ KIND = "kind"
 def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[TwinFile]) -> float:
     """Return the mean error of free runs [K], geometric over recordings.
 
-    MOST_MISS_K where the box was taken for one of another kind, or its twin runs away.
+    MOST_MISS_K where its twin runs away.
 
     box : a twin of it, for its description; recorded : in the order of time
     others : twins of its kind in the structure that is tried
@@ -44,8 +44,7 @@ def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[Tw
     file = with_rest_offset(replace(start, sample_s=step_s), hour)
     runs = diagnosis_runs([("hour", hour)], [(f"rest {i}", run) for i, run in enumerate(rest, 1)], file)
     prepared = prepare(file, runs)
-    found = fit_about(prepared, usual_miss_k(start))
-    return MOST_MISS_K if found is None else _missed_k(runs.test, found, prepared)
+    return _missed_k(runs.test, fit_about(prepared, usual_miss_k(start)), prepared)
 
 
 def _missed_k(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> float:

@@ -7,13 +7,10 @@ import numpy as np
 import pytest
 
 from bench.support.simulated_runs import silent
-from edge.app import commission
 from edge.app.commission import SEEN_MIN_K, Commissioned, learn
 from edge.app.step_test_record import STEP_S
 from edge.config.settings import ControlSettings
 from edge.core.errors import RequestError
-from edge.diagnosis.prepare import PreparedRuns
-from edge.diagnosis.prior_fit import fit_about
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin
 from edge.twin.provenance import PRIOR
@@ -73,10 +70,13 @@ def test_a_box_of_the_kind_keeps_its_effects_and_gets_its_own_values() -> None:
     assert all(value.rel_sd is None for value in found.twin.values().values())
 
 
-def test_a_box_that_is_unlike_its_kind_has_no_prior_in_its_twin() -> None:
+def test_a_value_that_is_unlike_its_kind_is_found_and_told() -> None:
     found = learnt(1.2)
-    assert PRIOR not in found.twin.provenance
-    assert not found.twin.to_fit()
+    assert found.twin.effects["wall_loss"]["UA"].value == pytest.approx(1.2, rel=0.1)
+    assert found.twin.effects["extra_capacity"]["kC"].value == pytest.approx(4.0, rel=0.1)
+    (doubt,) = found.doubts
+    assert doubt.startswith("wall_loss.UA is 0.3 times that of its kind")
+    assert not learnt(4.6).doubts
 
 
 def test_a_box_that_is_followed_badly_is_of_its_kind_as_long_as_its_values_are() -> None:
@@ -89,21 +89,6 @@ def test_a_box_that_is_followed_badly_is_of_its_kind_as_long_as_its_values_are()
     assert PRIOR in found.twin.provenance
     assert found.twin.effects["wall_loss"]["UA"].value == pytest.approx(4.6, rel=0.1)
     assert not found.refusals
-
-
-def test_the_last_of_an_hour_may_show_that_a_box_is_unlike_its_kind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a fit that finds it so, once it has every row: an hour that shows it so late is hard to make."""
-    rows: list[int] = []
-
-    def fit(prepared: PreparedRuns, miss_k: float) -> TwinFile | None:
-        rows.append(int(prepared.runs.measured.sum()))
-        return fit_about(prepared, miss_k) if len(rows) == 1 else None
-
-    monkeypatch.setattr(commission, "fit_about", fit)
-    found = learnt(4.6)
-    assert rows[0] < rows[1]
-    assert PRIOR not in found.twin.provenance
-    assert not found.twin.to_fit()
 
 
 def test_an_hour_that_hardly_moves_a_slow_box_is_fitted_where_its_kind_is_slow() -> None:

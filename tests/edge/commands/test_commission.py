@@ -20,7 +20,7 @@ from edge.formats.run_file import read_run
 from edge.models.arx_file import read_arx
 from edge.state.store import STANDING, restore
 from edge.twin.new_file import BoxDescription, text
-from edge.twin.twin_file import TwinFile, read_twin_file
+from edge.twin.twin_file import read_twin_file
 from edge.twin.value import Value
 
 pytestmark = pytest.mark.slow
@@ -346,16 +346,3 @@ def test_the_start_of_a_fleet_is_kept_however_closely_others_follow_an_hour(prov
 def test_a_model_is_better_if_it_is_clearly_so(arx_k, better):
     found = FoundTwins({"before": 0.1, "after": 0.5, "heater lag": 0.45, "ARX 2": arx_k})
     assert commission.better_model(found, 0.5) == better
-
-
-@pytest.mark.parametrize("is_of_kind", [True, False])
-def test_a_box_that_is_unlike_its_kind_is_learnt_as_if_it_had_no_fleet(
-    is_of_kind: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def learnt(run: object, start: TwinFile, *more: object) -> object:
-        has_prior = "prior" in start.provenance
-        return None if has_prior and not is_of_kind else SimpleNamespace(has_prior=has_prior)
-
-    monkeypatch.setattr(commission, "_learn", learnt)
-    start = replace(TwinFile(), provenance={"prior": {"kind": "tent", "misses_k": 0.3}})
-    assert commission.learn(None, start, None, None).has_prior == is_of_kind

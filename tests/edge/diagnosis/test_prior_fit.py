@@ -19,21 +19,14 @@ SPREAD = 0.1
 MISSES_K = (0.0, 0.3, 1.0)
 
 
-def fit(loss_w_k: float, run: RecordedRun, miss_k: float = 0.3) -> TwinFile | None:
+def fitted(loss_w_k: float, run: RecordedRun, miss_k: float = 0.3) -> TwinFile:
     start = TwinFile(
         effects={
             "wall_loss": {"UA": Value(loss_w_k, rel_sd=SPREAD)},
             "extra_capacity": {"kC": Value(10.0, rel_sd=SPREAD)},
         }
     )
-    found = fit_about(prepare(start, as_diagnosis_runs([run], file=start)), miss_k)
-    return found and fitted_twin(found)
-
-
-def fitted(loss_w_k: float, run: RecordedRun, miss_k: float = 0.3) -> TwinFile:
-    found = fit(loss_w_k, run, miss_k)
-    assert found is not None
-    return found
+    return fitted_twin(fit_about(prepare(start, as_diagnosis_runs([run], file=start)), miss_k))
 
 
 def test_a_run_moves_the_values_of_its_prior() -> None:
@@ -70,12 +63,13 @@ def test_only_a_run_that_is_missed_by_more_than_usual_counts_less(monkeypatch: p
     assert fitted(3.4, plain) == usual
 
 
-def test_a_run_of_another_box_is_not_fitted() -> None:
+def test_a_value_far_from_its_kind_is_held_to_it_less(monkeypatch: pytest.MonkeyPatch) -> None:
     run = simulate({**BOX, "wall_loss": {"UA": 1.5}}, 1, 60)
-    assert fit(4.0, run) is None
-    assert fit(1.5, run) is not None
-    # Twice the spread of its kind is no proof.
-    assert fit(1.8, run) is not None
+    own = fitted(4.0, run, 1.0)
+    assert own.effects["wall_loss"]["UA"].value == pytest.approx(1.5, rel=0.15)
+    assert own.effects["extra_capacity"]["kC"].value == pytest.approx(10.0, rel=0.1)
+    monkeypatch.setattr(prior_fit, "TAILS", 1e9)  # a normal prior
+    assert fitted(4.0, run, 1.0).effects["wall_loss"]["UA"].value > own.effects["wall_loss"]["UA"].value + 0.2
 
 
 @pytest.mark.parametrize("miss_k", [0.0, 1e3])
