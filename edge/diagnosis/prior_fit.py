@@ -11,7 +11,6 @@ the farther it is, by tails of Student's t (West 1984, J. Royal Statistical Soci
 box is still its kind's.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -24,20 +23,19 @@ from edge.diagnosis.noise_levels import first_levels
 from edge.diagnosis.prepare import PreparedRuns
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin, SizedTerm
-from edge.diagnosis.unknowns import UnknownValue
+from edge.diagnosis.unknowns import UnknownValue, unknowns
 from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 
 Floats = NDArray[np.float64]
+FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 # These, DOUBT and TAILS were found on development boxes (docs/measured/fleet.md).
-SMALL = 1e-3
 USUAL_MISS_K = 0.3  # where the fleet does not tell what twins of the kind miss by
 DRIFT_TAU_S = 600.0  # over which errors go together
 DRIFT_SHARE = 0.95  # of the drift's variance that its terms hold
 MOST_POINTS, MOST_TERMS = 360, 30  # of a run: more cost time in tests of a day and tell nothing
 DOUBT = 2.0  # power of what an hour is missed by, in usual misses, by which it counts less
-FAR_SPREADS = 3.0  # a value so far from its kind's is told
 TAILS, ROUNDS = 3.0, 5  # degrees of freedom of a value's prior; fits in which its spread settles
 
 
@@ -51,15 +49,16 @@ def far_values(start: TwinFile, twin: TwinFile) -> Iterator[str]:
 
     start : what a fleet made of the description
     """
-    fitted = twin.values()
-    for place, usual in start.values().items():
-        if place in fitted and usual.rel_sd and usual.value > 0.0:
-            ratio = max(fitted[place].value / usual.value, SMALL)
-            spreads = math.log(ratio) / math.log1p(usual.rel_sd)
-            if abs(spreads) > FAR_SPREADS:
-                name = ".".join(place[1:])
-                far = f"{ratio:.2g} times that of its kind ({spreads:+.1f} spreads)"
-                yield f"{name} is {far}: is the kind right?"
+    values, fitted = start.values(), twin.values()
+    for item in unknowns(start):
+        usual = values[item.place]
+        if usual.rel_sd is None or usual.value == 0.0 or item.place not in fitted:
+            continue
+        own = fitted[item.place].value
+        spreads = (item.coordinate(own) - item.mean) / item.sd
+        if abs(spreads) > FAR_SPREADS:
+            far = f"{own / usual.value:.2g} times that of its kind ({spreads:+.1f} spreads)"
+            yield f"{'.'.join(item.place[1:])} is {far}: is the kind right?"
 
 
 def fit_about(prepared: PreparedRuns, miss_k: float, near: FittedTwin | None = None) -> FittedTwin:

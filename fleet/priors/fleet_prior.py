@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.diagnosis.baselines import bare
+from edge.diagnosis.prior_fit import FAR_SPREADS
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.draws import uncertain
 from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
@@ -37,7 +38,6 @@ ALIKE = {
     ("a bend", "two bends"): ("natural_convection", "heater_derating"),
 }
 COUNTS = tuple(name for counts in ALIKE for name in counts)  # at least so many, in shares
-FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 PARTS = ("test", "train")  # of a box's rows, in a told twin's provenance
 # A twin's own word for what it misses by is believed down to this share of its kind's median: a rig may lie.
 BEST_SHARE, LEAST_MISS_K, MOST_MISS_K = 0.5, 0.01, 1e3
