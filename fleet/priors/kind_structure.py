@@ -3,9 +3,9 @@
 Diagnoses of boxes that are built alike do not name the same. One has soil where the next has a wall, and what
 one calls a constant heat another puts into its loss, so their values are not of the same things. Each
 structure that a box of the kind has told is therefore fitted to the recordings of all of them, and some that
-join what two have told or have a body that no diagnosis names. The kind's is one in which an hour of each
-box, with what the others tell, foretells the rest of it (`rehearsal`): it need not be the one that follows
-recordings best.
+join what two have told or have what no diagnosis names. The kind's is one in which an hour of each box, with
+what the others tell, foretells the rest of it (`rehearsal`): it need not be the one that follows recordings
+best.
 """
 
 from collections import Counter
@@ -35,6 +35,7 @@ Fits = Mapping[tuple[str, Structure], TwinFile]
 Rehearsals = Mapping[tuple[str, Structure], float]  # what is missed [K], by rig and structure
 Misses = dict[Structure, Floats]  # of each box [K]
 BODY, SLOW_BODY = "soil_mass", "slow_mass"
+CONVECTION = "natural_convection"
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
 MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to every box
 # WORTH was found on a development design, 507, AS_GOOD on 507 to 510 (docs/measured/fleet.md).
@@ -47,7 +48,7 @@ AS_GOOD = 1.1  # times the least miss, mean over boxes: a simpler structure is t
 def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
     """Return the structures to fit, by kind: those told most often, unions of two, one with a slow body.
 
-    Of boxes without a kind none.
+    Each of them also with natural convection. Of boxes without a kind none.
     """
     found: dict[str, Counter[Structure]] = {}
     for sheet in sheets:
@@ -57,14 +58,16 @@ def structures(sheets: Sequence[BoxSheet]) -> dict[str, list[Structure]]:
 
 
 def _to_try(told: Counter[Structure]) -> list[Structure]:
-    """Return what most have told, what two of these make, and one with a slow body.
+    """Return what most have told, what two of these make, one with a slow body, and each with convection.
 
     One box names what the next one lacks.
     """
     most = [own for own, _ in told.most_common(MOST_TOLD)]
     joined = {_union(a, b) for a, b in combinations(most, 2)} - {*most}
     known = [*most, *sorted(joined, key=lambda own: (len(own), own))[:MOST_JOINED]]
-    return sorted({*known, *_with_slow_body(known)})
+    known += _with_slow_body(known)
+    # Air moves along warm walls in every box, though a diagnosis mostly puts that bend into something else.
+    return sorted({*known, *(_union(own, (CONVECTION,)) for own in known)})
 
 
 def _with_slow_body(known: Sequence[Structure]) -> list[Structure]:

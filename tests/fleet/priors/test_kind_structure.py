@@ -42,13 +42,18 @@ def fits(misses_k: dict[tuple[str, tuple[str, ...]], float]) -> Fits:
     return {(rig, names): told(rig, *names, miss_k=miss).twin for (rig, names), miss in misses_k.items()}
 
 
+def also_bent(*plain: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Return structures, and each with natural convection."""
+    return sorted([*plain, *((*own, "natural_convection") for own in plain)])
+
+
 def in_structure(sheets: list[BoxSheet], known: Fits) -> list[BoxSheet]:
     return in_kind_structure(sheets, known, choose(sheets, known, {}))
 
 
 def test_each_structure_that_was_told_is_one_of_its_kind_and_so_is_what_two_have_told_together() -> None:
     sheets = [told("a", "heater_lag"), told("b", "soil_mass"), told("c", kind=""), told("d", kind="case")]
-    assert structures(sheets) == {"tent": [LAG, SOIL, BOTH, SLOW], "case": [()]}
+    assert structures(sheets) == {"tent": also_bent(LAG, SOIL, BOTH, SLOW), "case": also_bent(())}
 
 
 def test_of_many_that_were_told_the_simplest_are_joined() -> None:
@@ -58,18 +63,22 @@ def test_of_many_that_were_told_the_simplest_are_joined() -> None:
     sheets.append(told("once", "imperfect_mixing", "heater_lag"))
     wanted = structures(sheets)["tent"]
     assert {(name,) for name in names} <= {*wanted}
-    assert sorted(len(own) for own in wanted if len(own) > 1) == [2] * (MOST_JOINED + 1)
+    joined = [own for own in wanted if len({*own} - {"natural_convection"}) == 2]
+    assert len(joined) == 2 * (MOST_JOINED + 1)
 
 
 def test_a_slow_body_is_tried_beside_one_that_was_told_and_beside_all_else() -> None:
-    assert structures([told("a", "heater_lag")]) == {"tent": [LAG]}
-    assert structures([told("a", "soil_mass", "heater_lag"), told("b", "soil_mass")])["tent"] == [
-        SOIL,
-        BOTH,
-        SLOW,
-    ]
+    assert structures([told("a", "heater_lag")])["tent"] == also_bent(LAG)
+    two = [told("a", "soil_mass", "heater_lag"), told("b", "soil_mass")]
+    assert structures(two)["tent"] == also_bent(SOIL, BOTH, SLOW)
     # A new box tells the twin that it began with.
-    assert structures([told("a", *SLOW), told("b", *SLOW)])["tent"] == [SLOW]
+    assert structures([told("a", *SLOW), told("b", *SLOW)])["tent"] == also_bent(SLOW)
+
+
+def test_what_was_told_with_convection_is_tried_as_it_is_told() -> None:
+    (bent,) = {*also_bent(LAG)} - {LAG}
+    assert structures([told("a", *bent)])["tent"] == [bent]
+    assert structures([told("a", *bent), told("b", *LAG)])["tent"] == also_bent(LAG)
 
 
 def test_the_structure_that_follows_all_boxes_is_the_kinds() -> None:
