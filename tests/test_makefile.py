@@ -7,6 +7,7 @@ import subprocess
 import pytest
 
 from bench.support.daemon_process import ROOT
+from fleet.machine.engines import PACKAGES
 
 MAKEFILE = (ROOT / "Makefile").read_text()
 
@@ -48,6 +49,10 @@ def test_test_installs_what_the_tests_need_first() -> None:
     commands = plan("test")
     assert 0 < commands.index(".[dev]") < commands.index("pytest")
     assert 0 < commands.index("install_tools.sh") < commands.index("pytest")
+
+
+def test_the_engines_of_a_fleet_are_among_what_it_installs() -> None:
+    assert {*PACKAGES.values()} <= {*re.findall(r"[\w-]+", (ROOT / "tests" / "install_tools.sh").read_text())}
 
 
 @needs_make
