@@ -30,10 +30,10 @@ from bench.boxes.reach import reach, rise_k
 
 __all__ = ["DEVELOPMENT", "LOTS", "SCORED", "BoxFacts", "draw_box"]
 
-LOTS = tuple(tuple(range(first, first + LOT)) for first in (1, 101, 201, 301, 401, 501))
-BURNT = 9  # boxes of the third lot; they and lots 2, 4 and 5 were scored once, and are known
-DEVELOPMENT = (*LOTS[0], *LOTS[1], *LOTS[2][:BURNT], *LOTS[3], *LOTS[4])
-SCORED = (*LOTS[2][BURNT:], *LOTS[5])  # as designs of fleets 501 to 507 are known too
+LOTS = tuple(tuple(range(first, first + LOT)) for first in (1, 101, 201, 301, 401, 501, 601))
+BURNT = 9  # boxes of the third lot; they and lots 2, 4 and 5 were scored once, lot 6 as designs of fleets
+DEVELOPMENT = (*LOTS[0], *LOTS[1], *LOTS[2][:BURNT], *LOTS[3], *LOTS[4], *LOTS[5])
+SCORED = (*LOTS[2][BURNT:], *LOTS[6])
 FLOWS_M3_H = (5.0, 200.0)
 CHANGES_1_MIN = (0.8, 5.0)  # of the air by the fan
 WATER_KG_M2 = ((0.2, 2.0), (2.0, 10.0), (5.0, 40.0))  # in pots, plants and jars on the floor, by weight
