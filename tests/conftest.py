@@ -16,6 +16,8 @@ LONGEST_FIRST = (
     *("test_no_false_alarms", "test_whole_daemon", "test_llm_misbehaviours", "test_safety_mutation"),
 )
 
+LACKS = ("is not installed", "is missing", "apt install", "could not import")  # reasons to skip a test
+
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("person", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "person")
@@ -31,7 +33,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """A person may lack a program. `make test` installs them all, so in CI nothing is skipped for one."""
     report = yield
-    if os.environ.get("CI") and report.skipped and "is not installed" in str(report.longrepr):
+    lacks = any(words in str(report.longrepr) for words in LACKS)
+    if os.environ.get("CI") and report.skipped and lacks:
         report.outcome = "failed"
     return report
 

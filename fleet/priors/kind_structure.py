@@ -66,7 +66,7 @@ def _to_try(told: Counter[Structure]) -> list[Structure]:
     joined = {_union(a, b) for a, b in combinations(most, 2)} - {*most}
     known = [*most, *sorted(joined, key=lambda own: (len(own), own))[:MOST_JOINED]]
     known += _with_slow_body(known)
-    # Air moves along warm walls in every box, though a diagnosis mostly puts that bend into something else.
+    # Air moves along warm walls in every box, though a diagnosis may put that bend into something else.
     return sorted({*known, *(_union(own, (CONVECTION,)) for own in known)})
 
 

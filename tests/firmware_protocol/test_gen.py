@@ -19,7 +19,7 @@ SPEC = read_spec()
 WITH_FIELDS = [message for message in SPEC.messages if message.fields]
 C_TYPES = {"u8": ctypes.c_uint8, "u16": ctypes.c_uint16, "u32": ctypes.c_uint32, "u64": ctypes.c_uint64,
            "i16": ctypes.c_int16}  # fmt: skip
-needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 
 
 def structure(message: MessageSpec) -> type[ctypes.Structure]:

@@ -37,7 +37,7 @@ def test_a_signed_folder_is_good(workshop: Workshop) -> None:
 
 def test_openssl_agrees_with_the_signature(workshop: Workshop) -> None:
     if shutil.which("openssl") is None:
-        pytest.skip("needs openssl")
+        pytest.skip("openssl is not installed")
     folder = workshop.signed_folder("good")
     command = f"openssl pkeyutl -verify -pubin -rawin -inkey {workshop.trusted / 'signing.pub'}"
     assert os.system(f"{command} -in {folder / MANIFEST} -sigfile {folder / SIGNATURE} >/dev/null 2>&1") == 0

@@ -17,7 +17,10 @@ from edge.bundle.keeper import carry_out, choose
 from edge.bundle.manifest import PACKAGED
 from edge.bundle.store import BundleStore
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed"),
+]
 
 WORK = """
 import os, sys

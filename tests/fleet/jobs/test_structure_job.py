@@ -21,6 +21,7 @@ from fleet.jobs.rehearsal_job import known_rehearsals, rehearse_kinds
 from fleet.jobs.structure_job import DAY_S, fit_structures, known_fits
 from fleet.jobs.told_sheets import told_sheets
 from fleet.numbers.victoria import Numbers
+from fleet.priors.kind_structure import CONVECTION
 from fleet.settings import DatabaseSettings, NumbersSettings
 
 LAG = {"heater_lag": {"tau_h": 400.0}}
@@ -64,10 +65,7 @@ def test_boxes_are_fitted_after_a_day_and_where_there_are_two(engine: Engine) ->
     assert wanted(engine, NIGHT - 1.0) == set()
     names = ("heater_lag", "soil_mass", "soil_mass+heater_lag", "soil_mass+slow_mass+heater_lag")
     every = {
-        (rig, name + bent)
-        for rig in ("rig-1", "rig-2")
-        for name in names
-        for bent in ("", "+natural_convection")
+        (rig, name + bent) for rig in ("rig-1", "rig-2") for name in names for bent in ("", f"+{CONVECTION}")
     }
     assert wanted(engine, NIGHT) == every
     # Where the numbers cannot be reached nothing is kept, and another night tries again.

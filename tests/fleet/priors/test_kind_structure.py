@@ -15,6 +15,7 @@ from edge.twin.value import Value
 from fleet.priors.fleet_prior import BoxSheet, fit_prior
 from fleet.priors.kind_structure import (
     ANY_HEAT,
+    CONVECTION,
     MOST_JOINED,
     Fits,
     Rehearsals,
@@ -44,7 +45,7 @@ def fits(misses_k: dict[tuple[str, tuple[str, ...]], float]) -> Fits:
 
 def also_bent(*plain: tuple[str, ...]) -> list[tuple[str, ...]]:
     """Return structures, and each with natural convection."""
-    return sorted([*plain, *((*own, "natural_convection") for own in plain)])
+    return sorted([*plain, *((*own, CONVECTION) for own in plain)])
 
 
 def in_structure(sheets: list[BoxSheet], known: Fits) -> list[BoxSheet]:
@@ -63,7 +64,7 @@ def test_of_many_that_were_told_the_simplest_are_joined() -> None:
     sheets.append(told("once", "imperfect_mixing", "heater_lag"))
     wanted = structures(sheets)["tent"]
     assert {(name,) for name in names} <= {*wanted}
-    joined = [own for own in wanted if len({*own} - {"natural_convection"}) == 2]
+    joined = [own for own in wanted if len({*own} - {CONVECTION}) == 2]
     assert len(joined) == 2 * (MOST_JOINED + 1)
 
 
