@@ -10,7 +10,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -59,8 +59,16 @@ class FleetLease:
             return ""
         return f"process {row.pid} of {row.host}"
 
-    def wait(self, ended: threading.Event, say: Callable[[str], None]) -> bool:
-        """Return once it is taken, False where the end came before. say : is told who has it meanwhile"""
+    def wait(
+        self,
+        ended: threading.Event,
+        say: Callable[[str], None],
+        look: Callable[[str], None] = lambda _: None,
+    ) -> bool:
+        """Return once it is taken, False where the end came before.
+
+        say, look : are told who has it meanwhile, once and at every look
+        """
         said = ""
         while not ended.is_set():
             holder = self.take()
@@ -69,6 +77,7 @@ class FleetLease:
             if holder != said:
                 say(f"{holder} does {self._work}; this one waits until it ends")
             said = holder
+            look(f"waits for {holder}")
             ended.wait(min(POLL_S, self._lease_s / 2))
         return False
 
@@ -91,7 +100,8 @@ class FleetLease:
         finally:
             ended.set()
             thread.join()
-            self.give_back()
+            with suppress(SQLAlchemyError):  # it is away: the next one sees that the beat stands still
+                self.give_back()
 
     def give_back(self) -> None:
         """Let the next one have it at once; nothing happens where another one has it."""

@@ -1,7 +1,7 @@
 """Rigs, spans, events and refusals in the database: read for a batch, and written in one transaction."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -41,10 +41,13 @@ class Entry:
 
 
 class Books:
-    """One process writes them. Errors: SQLAlchemyError from every method; nothing of an entry is kept then"""
+    """One process writes them. check : raises in a transaction that is another process's to write
 
-    def __init__(self, engine: Engine) -> None:
-        self._engine = engine
+    Errors : SQLAlchemyError from every method, and what `check` raises; nothing of an entry is kept then
+    """
+
+    def __init__(self, engine: Engine, check: Callable[[Session], None] = lambda _: None) -> None:
+        self._engine, self._check = engine, check
 
     def names(self) -> set[str]:
         """Return the names of all rigs."""
@@ -68,6 +71,7 @@ class Books:
     def write(self, entry: Entry) -> None:
         """Write all of an entry, or nothing."""
         with Session(self._engine) as session, session.begin():
+            self._check(session)
             _write_rigs(session, entry)
             for table, kind in ((StoredSpan, "stored"), (AbsentSpan, "absent")):
                 _write_spans(session, table, *_changes(entry, kind))

@@ -20,6 +20,7 @@ from edge.config.settings import NAME
 from edge.core.errors import ConfigError, DataError
 from edge.core.event_log import Allowance
 from edge.core.plain_text import plain
+from fleet.database.lease import FleetLease
 from fleet.ingest.batch import Batch, Times
 from fleet.ingest.books import Books
 from fleet.ingest.inbox import FleetInbox, Message
@@ -30,6 +31,7 @@ from fleet.numbers.options import problem
 from fleet.numbers.victoria import Numbers, NumbersError
 from fleet.settings import FleetSettings
 
+WORK = "what rigs send"  # of the lease
 DAY_S = 86400.0
 RETRY_FIRST_S, RETRY_MAX_S = 0.5, 4.0
 WATCHED_S = 60.0  # a batch is three requests with a time limit of 30 s each, and a transaction
@@ -50,7 +52,8 @@ class Ingest:
         self._settings, self._journal = settings, journal
         self._numbers = Numbers(settings.numbers)
         self._inbox = FleetInbox(settings.mqtt, settings.ingest.window)
-        books = Books(engine)
+        self._lease = FleetLease(engine, WORK)
+        books = Books(engine, self._lease.check)
         self._ledgers = {name: RigLedger(settings.ingest.gap_wait_s) for name in _names(books)}
         self._writer = BatchWriter(self._numbers, books, self._ledgers)
         self._allowance = Allowance(SAID_BURST, SAID_PER_S, time.monotonic)
@@ -61,11 +64,21 @@ class Ingest:
         self._notifier = Notifier.from_environment()
 
     def run(self, ended: threading.Event) -> None:
-        """Run until `ended`. Errors: ConfigError; whatever does not answer is tried again"""
-        own = self._settings.ingest
+        """Run until `ended`. Whatever does not answer is tried again.
+
+        Errors : ConfigError; LeaseLost where another process took this one, which stood still, for dead
+        """
         self._notifier.ready("waits for VictoriaMetrics", WATCHED_S)
-        if not self._wait_for_numbers(ended):
-            return
+        try:
+            # The broker knows one ingest: a second connection would end the first one's, so it waits.
+            if self._wait_for_numbers(ended) and self._wait_for_lease(ended):
+                with self._lease.keep():
+                    self._serve(ended)
+        finally:
+            self._notifier.close()
+
+    def _serve(self, ended: threading.Event) -> None:
+        own = self._settings.ingest
         self._inbox.start()
         try:
             while not ended.is_set():
@@ -78,7 +91,6 @@ class Ingest:
                 self._notifier.alive(f"{len(self._ledgers)} rigs")
         finally:
             self._inbox.close()
-            self._notifier.close()
 
     def _wait_for_numbers(self, ended: threading.Event) -> bool:
         """Return once VictoriaMetrics answers: before, nothing that is heard could be stored."""
@@ -88,6 +100,17 @@ class Ingest:
                 return True
             except NumbersError as error:
                 _say(f"{error}; again in {RETRY_MAX_S:g} s")
+                self._notifier.alive(plain(str(error)))
+                ended.wait(RETRY_MAX_S)
+        return False
+
+    def _wait_for_lease(self, ended: threading.Event) -> bool:
+        """Return once no other process does the work."""
+        while not ended.is_set():
+            try:
+                return self._lease.wait(ended, _say, self._notifier.alive)
+            except SQLAlchemyError as error:
+                _say(f"{plain(str(error))}; again in {RETRY_MAX_S:g} s")
                 self._notifier.alive(plain(str(error)))
                 ended.wait(RETRY_MAX_S)
         return False

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from fleet_store import BROKER, numbers_of, wait_until_all_is_stored
-from sqlalchemy import Engine, select
+from sqlalchemy import Engine, select, update
 from sqlalchemy.orm import Session
 
 from bench.support.broker import PATIENCE_S, Broker, free_port, needs_mosquitto, wait_for
@@ -21,7 +21,8 @@ from edge.twin.twin_file import TwinFile, twin_of, write_twin_file
 from edge.twin.value import Value
 from fleet.database.base import open_database
 from fleet.database.events import RigEvent
-from fleet.database.rigs import SILENT_S, FleetRig, are_there
+from fleet.database.leases import WorkLease
+from fleet.database.rigs import SILENT_S, FleetRig, StoredSpan, are_there
 from fleet.database.twins import ToldTwin
 from fleet.machine.rig_register import erase_rig
 from fleet.numbers.victoria import Numbers
@@ -39,6 +40,7 @@ class Fleet:
     ingest: IngestProcess
     numbers: Numbers
     engine: Engine
+    url: str
 
     def rig(self, name: str) -> FleetRig | None:
         with Session(self.engine) as session:
@@ -53,7 +55,7 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
         ingest = IngestProcess(tmp_path, {"port": broker.port}, victoria.url, url)
         with ingest:
             numbers = Numbers(NumbersSettings(url=victoria.url))
-            yield Fleet(tmp_path, broker, victoria, ingest, numbers, engine)
+            yield Fleet(tmp_path, broker, victoria, ingest, numbers, engine, url)
     engine.dispose()
 
 
@@ -178,3 +180,38 @@ def test_an_end_while_victoria_metrics_is_away_loses_nothing(fleet: Fleet) -> No
         fleet.victoria.start()
         fleet.ingest.start()
         wait_until_all_is_stored([rig], fleet.numbers, fleet.engine, say=fleet.ingest.log)
+
+
+def test_a_second_ingest_waits_and_goes_on_where_the_first_one_died(fleet: Fleet) -> None:
+    other = fleet.folder / "other"
+    other.mkdir()
+    with (
+        IngestProcess(other, {"port": fleet.broker.port}, fleet.victoria.url, fleet.url) as second,
+        RigWithoutBoard(fleet.folder, "rig-1", fleet.broker.port) as rig,
+    ):
+        wait_for(lambda: "connected to the broker" in fleet.ingest.log + second.log)
+        waits, runs = (fleet.ingest, second) if "connected" in second.log else (second, fleet.ingest)
+        wait_for(lambda: "this one waits until it ends" in waits.log)
+        rig.tick()
+        wait_until_all_is_stored((rig,), fleet.numbers, fleet.engine, say=runs.log)
+        assert "connected" not in waits.log and "disconnected" not in runs.log
+        runs.kill()
+        rig.tick()
+        wait_until_all_is_stored((rig,), fleet.numbers, fleet.engine, say=waits.log)
+        assert waits.stop() == 0
+
+
+def test_an_ingest_that_was_taken_for_dead_writes_nothing_more_and_ends(fleet: Fleet) -> None:
+    with RigWithoutBoard(fleet.folder, "rig-1", fleet.broker.port) as rig:
+        rig.tick()
+        wait_until_all_is_stored((rig,), fleet.numbers, fleet.engine, say=fleet.ingest.log)
+        with Session(fleet.engine) as session, session.begin():
+            session.execute(update(WorkLease).values(holder="another"))
+        rig.tick()
+        process = fleet.ingest.process
+        assert process is not None and process.wait(PATIENCE_S) == 2
+        assert "what rigs send: another process does it now" in fleet.ingest.log
+        with Session(fleet.engine) as session:
+            assert session.scalars(select(StoredSpan.last_seq)).all() == [1]
+        fleet.ingest.start()  # as systemd does; the broker sends what was not acknowledged again
+        wait_until_all_is_stored((rig,), fleet.numbers, fleet.engine, say=fleet.ingest.log)
