@@ -52,9 +52,10 @@ from fleet.priors.kind_structure import (
     choose,
     fit_structure,
     in_kind_structure,
+    loss_shares,
     structures,
 )
-from fleet.priors.rehearsal import rehearse
+from fleet.priors.rehearsal import Rehearsal, rehearse
 from training.lab import InProcessBoard, Lab
 
 LITTLE_H, MUCH_H = 1.0, 6.0
@@ -174,7 +175,7 @@ def rehearse_box(out: Path, wanted: tuple[FleetBox, Structure, tuple[FleetBox, .
     tests, day = (read_run(out / f"{box.name}.{name}.csv") for name in ("tests", "day"))
     told = read_twin_file(out / f"{box.name}.told.yaml")
     twins = [read_twin_file(_fit_path(out, other, structure)) for other in others]
-    path.write_text(json.dumps(rehearse(told, [first_hours(tests, MUCH_H), day], twins)))
+    path.write_text(json.dumps(asdict(rehearse(told, [first_hours(tests, MUCH_H), day], twins))))
 
 
 def _rehearsal_path(out: Path, box: FleetBox, structure: Structure, others: tuple[FleetBox, ...]) -> Path:
@@ -243,7 +244,8 @@ def give_starts(out: Path, fleet: Sequence[FleetBox], new: Sequence[FleetBox]) -
         path = place_of(out, fleet) / f"{box.name}.start.yaml"
         if not path.exists():
             others, chosen = choice_of_others(out, fleet, fits, box)
-            prior = fit_prior(in_kind_structure(others, fits, chosen))
+            shares = loss_shares(others, chosen, known_rehearsals(out, fleet, box))
+            prior = fit_prior(in_kind_structure(others, fits, chosen), shares)
             write_twin_file(prior.start(box.start, str(box.design)), path)
 
 
@@ -271,7 +273,7 @@ def chosen_fit(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> TwinFile:
 def known_rehearsals(out: Path, fleet: Sequence[FleetBox], new: FleetBox) -> Rehearsals:
     """Return what is kept of the fleet without a box."""
     return {
-        (box.name, name): json.loads(_rehearsal_path(out, box, name, _others(fleet, box, new)).read_text())
+        (box.name, name): read_json(Rehearsal, _rehearsal_path(out, box, name, _others(fleet, box, new)))
         for box, name in fits_wanted(out, fleet)
         if box != new
     }

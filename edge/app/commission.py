@@ -22,7 +22,7 @@ from edge.core.errors import DataError, RequestError
 from edge.diagnosis.adopted_twin import round_value
 from edge.diagnosis.diagnose import Diagnosis, diagnose, fitted_twin
 from edge.diagnosis.prepare import prepare
-from edge.diagnosis.prior_fit import far_values, fit_about, usual_miss_k
+from edge.diagnosis.prior_fit import as_over_days, far_values, fit_about, usual_miss_k
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.runs import DiagnosisRuns, diagnosis_runs, judged_from
 from edge.diagnosis.trial import FittedTwin
@@ -141,7 +141,7 @@ def learn(
     if PRIOR in chosen.provenance:  # it is of its kind: what judged it may be fitted too
         every = diagnosis_runs(list(zip(names, parts, strict=True)), [], file)
         again, _ = _about_prior(begun, parts[0], every, fitted)
-        chosen = replace(again, provenance={**chosen.provenance, **again.provenance})
+        chosen = as_over_days(replace(again, provenance={**chosen.provenance, **again.provenance}))
     step_k = max(step_of(run.columns["temp_air_c"]), start.sensor.get("quantisation_k") or 0.0)
     twin = replace(chosen, sample_s=control.step_s, sensor={**chosen.sensor, "quantisation_k": step_k})
     room_c = float(np.nanmean(found.inputs.runs.ambient))

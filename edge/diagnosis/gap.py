@@ -27,6 +27,7 @@ class RunForecast:
     """A free run of a twin over one run.
 
     start : the row that it begins from, the last measured one of the first rows
+    measured : [rows] [°C], NaN where the recording has no row
     predicted : [rows] [°C], as measured up to `start`
     """
 
@@ -63,7 +64,8 @@ def forecast(twin: BoxTwin, named: NamedRun, room_c: Floats) -> RunForecast:
         conditions=ahead,
         before=Commands(past.duty[:-1], past.fan[:-1]),
     )[0]
-    return RunForecast(named.name, start, temp, np.concatenate([hold(temp[: start + 1]), predicted]))
+    measured = np.where(named.recorded, temp, np.nan)
+    return RunForecast(named.name, start, measured, np.concatenate([hold(temp[: start + 1]), predicted]))
 
 
 def columns_of(run: RecordedRun, room_c: Floats) -> dict[str, Floats]:

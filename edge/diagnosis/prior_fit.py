@@ -24,11 +24,14 @@ from edge.diagnosis.prepare import PreparedRuns
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin, SizedTerm
 from edge.diagnosis.unknowns import UnknownValue, unknowns
-from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
+from edge.twin.provenance import LOSS_SHARE, LOSS_TAKEN, PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
+LOSSES = ("effects", "wall_loss", "UA"), ("effects", "natural_convection", "G_nc")
+MOST_LOSS = 2.0  # times, to either side: a fleet that says more is wrong
 FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 # These, DOUBT and TAILS were found on development boxes (docs/measured/fleet.md).
 USUAL_MISS_K = 0.3  # where the fleet does not tell what twins of the kind miss by
@@ -42,6 +45,31 @@ TAILS, ROUNDS = 3.0, 5  # degrees of freedom of a value's prior; fits in which i
 def usual_miss_k(file: TwinFile) -> float:
     """Return what twins of its kind usually miss by; USUAL_MISS_K where no fleet has told [K]."""
     return max(provenance_numbers(file, PRIOR, USUAL_MISS), default=0.0) or USUAL_MISS_K
+
+
+def as_over_days(file: TwinFile) -> TwinFile:
+    """Return a twin that an hour told with the loss that its kind has over days, where the fleet has told it.
+
+    What was taken is kept beside, so that it is not taken twice.
+    """
+    share = max(provenance_numbers(file, PRIOR, LOSS_SHARE), default=1.0)
+    told = dict(file.provenance.get(PRIOR, {}))
+    if told.pop(LOSS_SHARE, None) is None:
+        return file
+    share = min(max(share, 1.0 / MOST_LOSS), MOST_LOSS)
+    told = {**told, LOSS_TAKEN: share}
+    return replace(with_loss(file, share), provenance={**file.provenance, PRIOR: told})
+
+
+def with_loss(file: TwinFile, share: float) -> TwinFile:
+    """Return a twin that loses so many times its heat to the room."""
+    known = file.values()
+
+    def times(value: Value) -> Value:
+        low, high = (None if edge is None else share * edge for edge in (value.low, value.high))
+        return replace(value, value=share * value.value, low=low, high=high)
+
+    return file.with_values({place: times(known[place]) for place in LOSSES if place in known})
 
 
 def far_values(start: TwinFile, twin: TwinFile) -> Iterator[str]:

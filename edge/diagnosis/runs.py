@@ -136,6 +136,18 @@ class NamedRun:
         begin = int((self.run.columns["time_s"] < self.from_s).sum())
         return cut(self.run, min(begin, len(self.run) - 1), len(self.run))
 
+    @property
+    def recorded(self) -> NDArray[np.bool_]:
+        """Whether the recording has a row within half a step of each row of the run, [len(run)].
+
+        Between the rows of a recording that is coarser than the twin's step readings are interpolated, and
+        the air does not go from one to the next by a straight line.
+        """
+        time_s = self.run.columns["time_s"]
+        edges = np.append(time_s[0] - 0.5 * (time_s[1] - time_s[0]), 0.5 * (time_s[1:] + time_s[:-1]))
+        counts = np.diff(np.append(np.searchsorted(self.rows_s, edges), len(self.rows_s)))
+        return np.asarray(counts > 0)
+
     def at_rows(self, values: Floats) -> Floats:
         """Values [len(run)] of the run's rows at the recording's own rows, [len(rows_s)]."""
         return np.interp(self.rows_s, self.run.columns["time_s"], values)

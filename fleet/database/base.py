@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from sqlalchemy import Engine, create_engine, event, make_url, select
+from sqlalchemy import Engine, create_engine, event, make_url, select, text
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
@@ -11,6 +11,7 @@ from edge.core.errors import DataError
 from fleet.settings import DatabaseSettings
 
 VERSION = 1  # of the tables
+GONE = ("rehearsals", "box_rehearsals")  # of earlier software: their rows would keep a rig from being erased
 BUSY_S = 30.0  # SQLite: another process holds the lock for milliseconds
 POSTGRES = {  # libpq: a server whose machine is gone is noticed after half a minute
     "connect_timeout": 10,
@@ -50,6 +51,8 @@ def open_database(settings: DatabaseSettings) -> Engine:
         event.listen(engine, "connect", _set_pragmas)
     try:
         with Session(engine) as session, session.begin():
+            for name in GONE:
+                session.execute(text(f"DROP TABLE IF EXISTS {name}"))
             FleetTable.metadata.create_all(session.connection())
             found = session.scalars(select(TableVersion.version)).all()
             if not found:

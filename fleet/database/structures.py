@@ -26,15 +26,16 @@ class StructureFit(FleetTable):
 
 
 class BoxRehearsal(FleetTable):
-    """The error of a box as if it were new, by the others of its kind in a structure.
+    """A box as if it were new, by the others of its kind in a structure.
 
     structure : as in StructureFit; told_sha256 : of what the kind's boxes had told then
-    missed_k : of `fleet.priors.rehearsal.rehearse`
+    missed_k, loss_share : of `fleet.priors.rehearsal.Rehearsal`
     """
 
-    __tablename__ = "box_rehearsals"
+    __tablename__ = "hour_rehearsals"
     rig: Mapped[str] = mapped_column(ForeignKey("rigs.name"), primary_key=True)
     structure: Mapped[str] = mapped_column(String(STRUCTURE_MAX), primary_key=True)
     told_sha256: Mapped[str] = mapped_column(String(64))
     utc: Mapped[float]
     missed_k: Mapped[float]
+    loss_share: Mapped[float]

@@ -12,7 +12,7 @@ from fleet.jobs.rehearsal_job import known_rehearsals
 from fleet.jobs.structure_job import known_fits
 from fleet.jobs.told_sheets import told_sheets
 from fleet.priors.fleet_prior import FleetPrior, fit_prior
-from fleet.priors.kind_structure import choose, in_kind_structure
+from fleet.priors.kind_structure import choose, in_kind_structure, loss_shares
 from fleet.priors.prior_document import PriorDocument, document_of, prior_of
 
 KEPT = 30  # priors
@@ -31,8 +31,10 @@ def renew_prior(engine: Engine, utc: float) -> RenewedPrior:
     """Fit the prior anew and keep it. Errors: DataError where no rig has told a twin"""
     told = told_sheets(engine)
     fits = known_fits(engine, told)
-    shared = in_kind_structure(told.sheets, fits, choose(told.sheets, fits, known_rehearsals(engine, told)))
-    prior = fit_prior(shared)
+    rehearsed = known_rehearsals(engine, told)
+    chosen = choose(told.sheets, fits, rehearsed)
+    shared = in_kind_structure(told.sheets, fits, chosen)
+    prior = fit_prior(shared, loss_shares(told.sheets, chosen, rehearsed))
     every = {sheet.rig: sheet for sheet in (*told.sheets, *shared)}
     far = [(rig, one) for rig, sheet in every.items() for one in prior.far_values(sheet)]
     with Session(engine) as session, session.begin():

@@ -17,7 +17,7 @@ from fleet.jobs.structure_job import WEEK_S, known_fits, structure_of, text_of
 from fleet.jobs.told_sheets import ToldSheets, told_sheets
 from fleet.numbers.victoria import Numbers
 from fleet.priors.kind_structure import Rehearsals, Structure, comparable, structures
-from fleet.priors.rehearsal import rehearse
+from fleet.priors.rehearsal import Rehearsal, rehearse
 from fleet.settings import NumbersSettings
 
 MOST_BOXES = 6  # of a kind; with a day in store a box takes 2 to 6 s of a core for each structure
@@ -52,16 +52,20 @@ def rehearse_kinds(
         found = sweep(carry_out, jobs, workers, dask)
         with Session(engine) as session, session.begin():
             for job, missed in zip(jobs, found, strict=True):
-                for structure, missed_k in (missed or {}).items():
-                    own = BoxRehearsal(rig=job.rig, structure=text_of(structure), utc=utc)
-                    own.told_sha256, own.missed_k = job.told_sha256, missed_k
-                    session.merge(own)
+                for structure, own in (missed or {}).items():
+                    row = BoxRehearsal(rig=job.rig, structure=text_of(structure), utc=utc)
+                    row.told_sha256, row.missed_k, row.loss_share = (
+                        job.told_sha256,
+                        own.missed_k,
+                        own.loss_share,
+                    )
+                    session.merge(row)
         done += sum(missed is not None for missed in found)
         failed += sum(missed is None for missed in found)
     return done, failed
 
 
-def carry_out(job: RehearsalJob) -> dict[Structure, float] | None:
+def carry_out(job: RehearsalJob) -> dict[Structure, Rehearsal] | None:
     """Rehearse one box; None where that cannot be done, which ends no other's and is tried another night."""
     try:
         run = rig_run(Numbers(job.numbers), job.rig, job.until_utc - WEEK_S, job.until_utc)
@@ -78,7 +82,7 @@ def known_rehearsals(engine: Engine, told: ToldSheets) -> Rehearsals:
     rigs = {sheet.rig for sheet in told.sheets}
     with Session(engine) as session:
         return {
-            (one.rig, structure_of(one.structure)): one.missed_k
+            (one.rig, structure_of(one.structure)): Rehearsal(one.missed_k, one.loss_share)
             for one in session.scalars(select(BoxRehearsal))
             if one.rig in rigs
         }

@@ -4,7 +4,7 @@ Values are compared as shares of what is usual for the box's heater and step, so
 tell a new kind something.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -16,7 +16,7 @@ from edge.diagnosis.baselines import bare
 from edge.diagnosis.prior_fit import FAR_SPREADS
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.draws import uncertain
-from edge.twin.provenance import PRIOR, USUAL_MISS, provenance_numbers
+from edge.twin.provenance import LOSS_SHARE, PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 from fleet.priors.population import LEAST_SD, Population, ValuePrior, fit_population
@@ -43,6 +43,7 @@ PARTS = ("test", "train")  # of a box's rows, in a told twin's provenance
 BEST_SHARE, LEAST_MISS_K, MOST_MISS_K = 0.5, 0.01, 1e3
 FEW = 3  # boxes of a kind, of which one that misses little may know more than the others
 KEPT_BOXES = 4096  # in memory
+NONE_TOLD: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,11 +76,13 @@ class FleetPrior:
     values : by effect and parameter, natural logarithm of the value as a share of the usual one
     misses_k : error of free runs by the twins of each kind over rows that no fit saw, median, where known; or
         as what that counts for a new box
+    loss_shares : of each kind, what its loss over days is of that which an hour tells, where known
     """
 
     shares: dict[str, dict[str, float]]
     values: dict[tuple[str, str], Population]
     misses_k: dict[str, float] = field(default_factory=dict)
+    loss_shares: Mapping[str, float] = field(default_factory=dict)
 
     def structure(self, kind: str) -> tuple[str, ...]:
         """Return the effects that a box of this kind likely has, beside those that every twin has."""
@@ -97,8 +100,9 @@ class FleetPrior:
                 file = with_usual(file, name)
         known = {place: self._value(file, place, kind) for place in _places(file)}
         told: dict[str, object] = {"kind": kind}
-        if kind in self.misses_k:
-            told[USUAL_MISS] = float(f"{self.misses_k[kind]:.3g}")
+        for key, numbers in ((USUAL_MISS, self.misses_k), (LOSS_SHARE, self.loss_shares)):
+            if kind in numbers:
+                told[key] = float(f"{numbers[kind]:.3g}")
         file = replace(file, provenance={**file.provenance, PRIOR: told})
         return file.with_values({place: value for place, value in known.items() if value is not None})
 
@@ -121,8 +125,8 @@ class FleetPrior:
         return Value(float(f"{value:.6g}"), rel_sd=float(f"{about.sd:.3g}"))
 
 
-def fit_prior(sheets: Sequence[BoxSheet]) -> FleetPrior:
-    """Learn from boxes. Errors: DataError without any"""
+def fit_prior(sheets: Sequence[BoxSheet], loss_shares: Mapping[str, float] = NONE_TOLD) -> FleetPrior:
+    """Learn from boxes. loss_shares : as of `FleetPrior`. Errors: DataError without any box"""
     if not sheets:
         raise DataError("no box has told its twin yet")
     shares = _shares(sheets)
@@ -131,7 +135,7 @@ def fit_prior(sheets: Sequence[BoxSheet]) -> FleetPrior:
         for name, told in _shared_values(sheet, _likely(shares[sheet.kind])).items():
             found.setdefault(name, []).append((told.mean, told.sd, sheet.kind))
     values = {name: fit_population(*zip(*own, strict=True)) for name, own in found.items()}
-    return FleetPrior(shares, values, _misses_k(sheets))
+    return FleetPrior(shares, values, _misses_k(sheets), loss_shares)
 
 
 def _speakers(sheets: Sequence[BoxSheet], shares: dict[str, dict[str, float]]) -> list[BoxSheet]:

@@ -28,20 +28,23 @@ from edge.diagnosis.unknowns import with_usual
 from edge.twin.provenance import provenance_numbers
 from edge.twin.twin_file import TwinFile
 from fleet.priors.fleet_prior import LEAST_MISS_K, MOST_MISS_K, OF_BOX, BoxSheet, told_effects
+from fleet.priors.rehearsal import Rehearsal
 
 Floats = NDArray[np.float64]
 Structure = tuple[str, ...]
 Fits = Mapping[tuple[str, Structure], TwinFile]
-Rehearsals = Mapping[tuple[str, Structure], float]  # what is missed [K], by rig and structure
+Rehearsals = Mapping[tuple[str, Structure], Rehearsal]  # by rig and structure
 Misses = dict[Structure, Floats]  # of each box [K]
 BODY, SLOW_BODY = "soil_mass", "slow_mass"
 CONVECTION = "natural_convection"
 ANY_HEAT = "constant_heat"  # of where a box stands: the sun in the mean, what stands beside it
 MOST_TOLD, MOST_JOINED = 6, 3  # structures of a kind, as each is fitted to every box
-# WORTH was found on a development design, 507, AS_GOOD on 507 to 510 (docs/measured/fleet.md).
+# WORTH was found on 507, AS_GOOD on 507 to 510, SEEN on 514, 515 and 601, all development designs then
+# (docs/measured/fleet.md).
 WORTH = 0.8  # times what is missed without a heat or effects more: boxes that miss less with them have them
 LEAST_BOXES = 2  # of a kind, to compare; all of a smaller one
 FAR = 3.0  # times the least miss of a box
+SEEN = 3.0  # boxes without a difference, as if they had been rehearsed too: a few tell little of a loss
 AS_GOOD = 1.1  # times the least miss, mean over boxes: a simpler structure is taken
 
 
@@ -127,6 +130,18 @@ def choose(sheets: Sequence[BoxSheet], fits: Fits, rehearsed: Rehearsals) -> dic
     return found
 
 
+def loss_shares(
+    sheets: Sequence[BoxSheet], chosen: Mapping[str, Structure], rehearsed: Rehearsals
+) -> dict[str, float]:
+    """Return by kind what the loss over days is of that which an hour tells, drawn towards 1."""
+    found = {}
+    for kind, own in chosen.items():
+        rigs = [sheet.rig for sheet in sheets if sheet.kind == kind and (sheet.rig, own) in rehearsed]
+        logs = [np.log(rehearsed[rig, own].loss_share) for rig in rigs] or [0.0]
+        found[kind] = float(np.exp(np.median(logs) * len(rigs) / (len(rigs) + SEEN)))  # one rig may lie
+    return found
+
+
 def in_kind_structure(
     sheets: Sequence[BoxSheet], fits: Fits, chosen: Mapping[str, Structure]
 ) -> list[BoxSheet]:
@@ -169,7 +184,7 @@ def _chosen(
     tried, new = comparable(names, fitted, rehearsed)
     if len(new) < least:
         return _best(followed, followed)
-    return _best({own: np.array([rehearsed[rig, own] for rig in new]) for own in tried}, followed)
+    return _best({own: np.array([rehearsed[rig, own].missed_k for rig in new]) for own in tried}, followed)
 
 
 def _best(missed: Misses, followed: Misses) -> Structure:

@@ -32,11 +32,12 @@ class PopulationDocument:
 
 @dataclass(frozen=True, slots=True)
 class PriorDocument:
-    """All of it. values : by effect and parameter; misses_k : by kind"""
+    """All of it. values : by effect and parameter; misses_k, loss_shares : by kind"""
 
     shares: Mapping[str, Mapping[str, Share]]
     values: Mapping[str, Mapping[str, PopulationDocument]]
     misses_k: Mapping[str, Spread] = field(default_factory=dict)
+    loss_shares: Mapping[str, Spread] = field(default_factory=dict)
 
 
 def document_of(prior: FleetPrior) -> dict[str, Any]:
@@ -44,7 +45,8 @@ def document_of(prior: FleetPrior) -> dict[str, Any]:
     values: dict[str, dict[str, Any]] = {}
     for (effect, parameter), population in prior.values.items():
         values.setdefault(effect, {})[parameter] = asdict(population)
-    return {"shares": prior.shares, "values": values, "misses_k": prior.misses_k}
+    by_kind = {"misses_k": dict(prior.misses_k), "loss_shares": dict(prior.loss_shares)}
+    return {"shares": prior.shares, "values": values, **by_kind}
 
 
 def prior_of(document: PriorDocument) -> FleetPrior:
@@ -59,6 +61,5 @@ def prior_of(document: PriorDocument) -> FleetPrior:
         for effect, parameters in document.values.items()
         for parameter, own in parameters.items()
     }
-    return FleetPrior(
-        {kind: dict(own) for kind, own in document.shares.items()}, values, dict(document.misses_k)
-    )
+    shares = {kind: dict(own) for kind, own in document.shares.items()}
+    return FleetPrior(shares, values, dict(document.misses_k), dict(document.loss_shares))

@@ -6,16 +6,17 @@ recorded beside: leave one out. This tells in which structure a kind says most o
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from edge.app.rest_offset import with_rest_offset
 from edge.core.errors import DataError
 from edge.diagnosis.baselines import bare
 from edge.diagnosis.prepare import PreparedRuns, errors_over, prepare
-from edge.diagnosis.prior_fit import fit_about, usual_miss_k
+from edge.diagnosis.prior_fit import MOST_LOSS, fit_about, usual_miss_k, with_loss
 from edge.diagnosis.runs import PIECE_ROWS, NamedRun, diagnosis_runs, judged_from, measured_rows, pieces
 from edge.diagnosis.trial import FittedTwin
 from edge.formats.run_file import RecordedRun, cut
@@ -27,12 +28,24 @@ HOUR_S, STRIDE_S = 3600.0, 600.0  # STRIDE_S : from the begin of one hour that i
 ROW_S = 10.0  # of step tests; of ticks that are farther apart their own
 FULL = 0.5  # of the largest spread of the heater in an hour: the first such, as tests begin at rest
 KIND = "kind"
+NEAR_LOSS = 0.003  # of the share of the loss, how near it is looked for
 
 
-def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[TwinFile]) -> float:
-    """Return the mean error of free runs [K], geometric over recordings.
+@dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """What comes of one.
 
-    MOST_MISS_K where its twin runs away.
+    missed_k : mean error of free runs, geometric over recordings; MOST_MISS_K where its twin runs away
+    loss_share : of what it learnt, the loss by which free runs are right in the mean over all of them;
+        1 where nothing measures the room, as what that was would be told in its place
+    """
+
+    missed_k: float
+    loss_share: float = 1.0
+
+
+def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[TwinFile]) -> Rehearsal:
+    """Return by how much a box is missed, learnt from an hour.
 
     box : a twin of it, for its description; recorded : in the order of time
     others : twins of its kind in the structure that is tried
@@ -44,7 +57,9 @@ def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[Tw
     file = with_rest_offset(replace(start, sample_s=step_s), hour)
     runs = diagnosis_runs([("hour", hour)], [(f"rest {i}", run) for i, run in enumerate(rest, 1)], file)
     prepared = prepare(file, runs)
-    return _missed_k(runs.test, fit_about(prepared, usual_miss_k(start)), prepared)
+    fitted = fit_about(prepared, usual_miss_k(start))
+    share = 1.0 if prepared.guessed else _loss_share(runs.test, fitted, prepared)
+    return Rehearsal(_missed_k(runs.test, fitted, prepared), share)
 
 
 def _missed_k(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> float:
@@ -56,6 +71,27 @@ def _missed_k(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns
     told = [np.abs(errors_k[~np.isnan(errors_k)]) for errors_k in missed]
     means_k = [own.mean() if len(own) else MOST_MISS_K for own in told]
     return float(np.exp(np.log(np.clip(means_k, LEAST_MISS_K, MOST_MISS_K)).mean()))
+
+
+def _loss_share(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> float:
+    """Return by what the loss is to be multiplied; no further than MOST_LOSS to either side.
+
+    Within an hour walls still take up heat, which a twin without them finds in its loss. A day has some sun.
+    """
+
+    def off_k(log_share: float) -> float:
+        twin = replace(fitted, file=with_loss(fitted.file, float(np.exp(log_share))))
+        missed = [errors_over([run], twin, known) for run in tests]
+        means_k = [np.clip(own[~np.isnan(own)], -MOST_MISS_K, MOST_MISS_K).mean() for own in missed]
+        return float(np.average(means_k, weights=[len(own) for own in missed]))  # by time, not by readings
+
+    most = float(np.log(MOST_LOSS))
+    ends = {side: off_k(side) for side in (-most, most)}
+    if np.prod([*ends.values()]) >= 0.0:
+        found = min(ends, key=lambda side: abs(ends[side]))
+    else:
+        found = brentq(off_k, -most, most, xtol=NEAR_LOSS)
+    return float(np.exp(found))
 
 
 def an_hour(recorded: Sequence[RecordedRun]) -> tuple[RecordedRun, list[RecordedRun]]:

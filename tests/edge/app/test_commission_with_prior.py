@@ -11,6 +11,7 @@ from edge.app.commission import SEEN_MIN_K, Commissioned, learn
 from edge.app.step_test_record import STEP_S
 from edge.config.settings import ControlSettings
 from edge.core.errors import RequestError
+from edge.diagnosis.prior_fit import as_over_days
 from edge.formats.run_file import RecordedRun
 from edge.twin.model import BoxTwin
 from edge.twin.provenance import PRIOR
@@ -55,8 +56,11 @@ def slow_kind() -> TwinFile:
     return start_of_kind(600.0)
 
 
-def learnt(loss_w_k: float) -> Commissioned:
-    return learn(an_hour(loss_w_k), start_of_kind(4.4), ControlSettings(), silent)
+def learnt(loss_w_k: float, **told: float) -> Commissioned:
+    """Return what an hour tells. told : further numbers of the fleet's"""
+    start = start_of_kind(4.4)
+    prior = {PRIOR: {**start.provenance[PRIOR], **told}}
+    return learn(an_hour(loss_w_k), replace(start, provenance=prior), ControlSettings(), silent)
 
 
 def test_a_box_of_the_kind_keeps_its_effects_and_gets_its_own_values() -> None:
@@ -107,3 +111,13 @@ def test_a_heater_that_is_not_connected_is_found_in_a_slow_kind_too() -> None:
     cold = replace(run, columns={**run.columns, "temp_air_c": run.columns["temp_ambient_c"]})
     with pytest.raises(RequestError, match="not connected"):
         learn(cold, slow_kind(), ControlSettings(), silent)
+
+
+@pytest.mark.parametrize(("told", "taken"), [(0.9, 0.9), (1e9, 2.0), (-1.0, 0.5)])
+def test_the_loss_over_days_is_taken_from_the_kind_once(told: float, taken: float) -> None:
+    plain, found = learnt(4.6), learnt(4.6, loss_share=told)
+    before, after = (one.twin.effects["wall_loss"]["UA"] for one in (plain, found))
+    assert after.value == pytest.approx(taken * before.value, rel=1e-4)
+    assert after.low is not None and after.high is not None and after.low < after.value < after.high
+    assert found.twin.provenance[PRIOR] == {"kind": "tent", "misses_k": 0.2, "loss_times": taken}
+    assert as_over_days(found.twin) == found.twin

@@ -18,7 +18,7 @@ from bench.support.simulated_runs import (
 )
 from edge.diagnosis.gap import START_ROWS, RunForecast, alone, errors, floor_squares, forecast, one_step
 from edge.diagnosis.runs import NamedRun
-from edge.formats.run_file import RecordedRun
+from edge.formats.run_file import RecordedRun, resample
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 
@@ -251,3 +251,14 @@ def test_one_run_alone_has_no_hole_and_all_its_conditions() -> None:
     held = alone(named(holes), guess, run.columns["temp_ambient_c"])
     assert held.conditions["light"][0, 7] == run.columns["light"][6]
     assert runs.has_ambient
+
+
+def test_between_the_rows_of_a_coarser_recording_nothing_is_missed() -> None:
+    fine = simulate(SLOW, 1, ROWS, QUIET)
+    coarse = replace(fine, columns={name: column[::5] for name, column in fine.columns.items()})
+    spread = resample(coarse, 60.0)
+    item = NamedRun("coarse", spread, coarse.columns["time_s"])
+    residual = forecast(BoxTwin(effects=SLOW), item, spread.columns["temp_ambient_c"]).residual
+    assert np.flatnonzero(item.recorded).tolist() == list(range(0, len(spread), 5))
+    assert np.isfinite(residual).sum() == item.recorded[-len(residual) :].sum()
+    assert named(fine).recorded.all()

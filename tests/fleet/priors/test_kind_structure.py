@@ -22,8 +22,10 @@ from fleet.priors.kind_structure import (
     choose,
     fit_structure,
     in_kind_structure,
+    loss_shares,
     structures,
 )
+from fleet.priors.rehearsal import Rehearsal
 
 LAG, SOIL, BOTH = ("heater_lag",), ("soil_mass",), ("soil_mass", "heater_lag")
 SLOW = ("soil_mass", "slow_mass", "heater_lag")
@@ -102,7 +104,7 @@ def test_a_simpler_structure_that_is_nearly_as_good_is_taken() -> None:
 
 def rehearsed(misses_k: dict[tuple[str, ...], float], rigs: str = "abc") -> Rehearsals:
     """Return the same for each box. misses_k : by structure"""
-    return {(rig, names): own for names, own in misses_k.items() for rig in rigs}
+    return {(rig, names): Rehearsal(own) for names, own in misses_k.items() for rig in rigs}
 
 
 def test_the_structure_is_one_in_which_an_hour_foretells_the_rest() -> None:
@@ -137,7 +139,7 @@ def test_a_box_that_lies_does_not_outvote_rehearsals_of_three(lie_k: float) -> N
     sheets = [*(told(rig, "heater_lag") for rig in "abc"), told("d", "soil_mass")]
     known = fits({(rig, names): 0.2 for rig in "abcd" for names in (LAG, SOIL)})
     honest = rehearsed({LAG: 0.3, SOIL: 0.6})
-    lies = {("d", LAG): 1e3, ("d", SOIL): lie_k}
+    lies = {("d", LAG): Rehearsal(1e3), ("d", SOIL): Rehearsal(lie_k)}
     assert choose(sheets, known, honest | lies) == {"tent": LAG}
 
 
@@ -224,3 +226,16 @@ def test_a_heat_of_its_place_is_no_loss_of_the_box() -> None:
     assert ANY_HEAT not in start.effects
     ua = start.effects["wall_loss"]["UA"]
     assert np.isclose(ua.value, twin.effects["wall_loss"]["UA"].value, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("shares", "share"),
+    [([], 1.0), ([0.8], 0.8**0.25), ([0.8, 0.9], 0.72**0.2), ([0.8, 0.9, 2.0, 0.9, 0.9], 0.9**0.625)],
+)
+def test_the_loss_over_days_is_that_of_rehearsed_boxes_and_one_that_lies_moves_little(
+    shares: list[float], share: float
+) -> None:
+    sheets = [told(str(i), "heater_lag") for i in range(len(shares))]
+    known = {(str(i), LAG): Rehearsal(0.3, own) for i, own in enumerate(shares)}
+    other = {("0", SOIL): Rehearsal(0.3, 2.0)}
+    assert loss_shares(sheets, {"tent": LAG}, known | other) == {"tent": pytest.approx(share)}
