@@ -24,13 +24,14 @@ from edge.diagnosis.prepare import PreparedRuns
 from edge.diagnosis.side_by_side import SideBySide
 from edge.diagnosis.trial import FittedTwin, SizedTerm
 from edge.diagnosis.unknowns import UnknownValue, unknowns
+from edge.twin.effects.effect import ParameterKind
+from edge.twin.effects.library import EFFECTS
 from edge.twin.provenance import LOSS_SHARE, LOSS_TAKEN, PRIOR, USUAL_MISS, provenance_numbers
 from edge.twin.run_batch import RunBatch
-from edge.twin.twin_file import TwinFile
+from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
-LOSSES = ("effects", "wall_loss", "UA"), ("effects", "natural_convection", "G_nc")
 MOST_LOSS = 2.0  # times, to either side: a fleet that says more is wrong
 FAR_SPREADS = 3.0  # one value in 370 of those that are spread like their kind's
 # These, DOUBT and TAILS were found on development boxes (docs/measured/fleet.md).
@@ -69,7 +70,12 @@ def with_loss(file: TwinFile, share: float) -> TwinFile:
         low, high = (None if edge is None else share * edge for edge in (value.low, value.high))
         return replace(value, value=share * value.value, low=low, high=high)
 
-    return file.with_values({place: times(known[place]) for place in LOSSES if place in known})
+    return file.with_values({place: times(known[place]) for place in known if _is_loss(place)})
+
+
+def _is_loss(place: Place) -> bool:
+    part, *names = place
+    return part == "effects" and EFFECTS[names[0]].parameter(names[1]).kind is ParameterKind.ROOM_LOSS
 
 
 def far_values(start: TwinFile, twin: TwinFile) -> Iterator[str]:

@@ -138,7 +138,7 @@ class NamedRun:
 
     @property
     def recorded(self) -> NDArray[np.bool_]:
-        """Whether the recording has a row within half a step of each row of the run, [len(run)].
+        """True where the recording has a row within half a step of the run's, [len(run)].
 
         Between the rows of a recording that is coarser than the twin's step readings are interpolated, and
         the air does not go from one to the next by a straight line.

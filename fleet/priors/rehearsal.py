@@ -33,7 +33,7 @@ NEAR_LOSS = 0.003  # of the share of the loss, how near it is looked for
 
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
-    """What comes of one.
+    """Result of one.
 
     missed_k : mean error of free runs, geometric over recordings; MOST_MISS_K where its twin runs away
     loss_share : of what it learnt, the loss by which free runs are right in the mean over all of them;

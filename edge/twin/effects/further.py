@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.twin.effects.effect import Effect, EffectParameter, Offer, by_name
+from edge.twin.effects.effect import Effect, EffectParameter, Offer, ParameterKind, by_name
 from edge.twin.network import AIR, ROOM, Network
 from edge.twin.signals import Floats, HeatConditions
 
@@ -82,7 +82,7 @@ FURTHER_EFFECTS: Mapping[str, Effect] = by_name(
     ),
     Effect(
         natural_convection,
-        (EffectParameter("G_nc", "W/K", 0.0, 100.0, 3.0),),
+        (EffectParameter("G_nc", "W/K", 0.0, 100.0, 3.0, ParameterKind.ROOM_LOSS),),
         source="turbulent natural convection at a wall, Nu ~ Ra^(1/3), Incropera & DeWitt, ch. 9",
         without="falls with the power 4/3 of T - T_amb",
         offer=Offer.KNOWN_ONLY,
