@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from edge.app.rest_offset import with_rest_offset
 from edge.core.errors import DataError
@@ -28,7 +27,7 @@ HOUR_S, STRIDE_S = 3600.0, 600.0  # STRIDE_S : from the begin of one hour that i
 ROW_S = 10.0  # of step tests; of ticks that are farther apart their own
 FULL = 0.5  # of the largest spread of the heater in an hour: the first such, as tests begin at rest
 KIND = "kind"
-NEAR_LOSS = 0.003  # of the share of the loss, how near it is looked for
+TRIED = 1.1  # times the resistance to the room, beside what was learnt
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,40 +57,46 @@ def rehearse(box: TwinFile, recorded: Sequence[RecordedRun], others: Sequence[Tw
     runs = diagnosis_runs([("hour", hour)], [(f"rest {i}", run) for i, run in enumerate(rest, 1)], file)
     prepared = prepare(file, runs)
     fitted = fit_about(prepared, usual_miss_k(start))
-    share = 1.0 if prepared.guessed else _loss_share(runs.test, fitted, prepared)
-    return Rehearsal(_missed_k(runs.test, fitted, prepared), share)
+    missed = _errors(runs.test, fitted, prepared)
+    share = 1.0 if prepared.guessed else _loss_share(runs.test, fitted, prepared, _mean_k(missed))
+    return Rehearsal(_missed_k(missed), share)
 
 
-def _missed_k(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> float:
+def _errors(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> list[Floats]:
+    """Return measured minus free run, NaN where not measured, by recording."""
+    missed = [errors_over([run], fitted, known) for run in tests]
+    return [np.where(np.isnan(own), np.nan, np.clip(own, -MOST_MISS_K, MOST_MISS_K)) for own in missed]
+
+
+def _missed_k(missed: Sequence[Floats]) -> float:
     """Return the mean error of free runs, geometric over recordings.
 
     Each counts alike: a day is mostly missed by an offset, its sun, which by rows would hide all else.
     """
-    missed = [errors_over([run], fitted, known) for run in tests]
     told = [np.abs(errors_k[~np.isnan(errors_k)]) for errors_k in missed]
     means_k = [own.mean() if len(own) else MOST_MISS_K for own in told]
     return float(np.exp(np.log(np.clip(means_k, LEAST_MISS_K, MOST_MISS_K)).mean()))
 
 
-def _loss_share(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns) -> float:
+def _mean_k(missed: Sequence[Floats]) -> float:
+    """Return the mean over all recordings by their time, not by readings, which tests have more of."""
+    means_k = [0.0 if np.isnan(own).all() else float(np.nanmean(own)) for own in missed]
+    return float(np.average(means_k, weights=[len(own) for own in missed]))
+
+
+def _loss_share(tests: Sequence[NamedRun], fitted: FittedTwin, known: PreparedRuns, mean_k: float) -> float:
     """Return by what the loss is to be multiplied; no further than MOST_LOSS to either side.
 
     Within an hour walls still take up heat, which a twin without them finds in its loss. A day has some sun.
+    What a box is above its room goes with the inverse of its loss, so two free runs tell it.
+    mean_k : of the errors with the loss as it is
     """
-
-    def off_k(log_share: float) -> float:
-        twin = replace(fitted, file=with_loss(fitted.file, float(np.exp(log_share))))
-        missed = [errors_over([run], twin, known) for run in tests]
-        means_k = [np.clip(own[~np.isnan(own)], -MOST_MISS_K, MOST_MISS_K).mean() for own in missed]
-        return float(np.average(means_k, weights=[len(own) for own in missed]))  # by time, not by readings
-
-    most = float(np.log(MOST_LOSS))
-    ends = {side: off_k(side) for side in (-most, most)}
-    if np.prod([*ends.values()]) >= 0.0:
-        found = min(ends, key=lambda side: abs(ends[side]))
-    else:
-        found = brentq(off_k, -most, most, xtol=NEAR_LOSS)
-    return float(np.exp(found))
+    other = replace(fitted, file=with_loss(fitted.file, 1.0 / TRIED))
+    warmer_k = mean_k - _mean_k(_errors(tests, other, known))
+    if not warmer_k > 0.0:
+        return 1.0
+    wanted = 1.0 + (TRIED - 1.0) * mean_k / warmer_k
+    return float(1.0 / np.clip(wanted, 1.0 / MOST_LOSS, MOST_LOSS))
 
 
 def an_hour(recorded: Sequence[RecordedRun]) -> tuple[RecordedRun, list[RecordedRun]]:

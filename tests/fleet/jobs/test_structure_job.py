@@ -85,6 +85,7 @@ def test_a_box_that_has_changed_is_not_fitted(engine: Engine) -> None:
 
 @needs_victoria
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_a_kind_has_the_structure_that_its_numbers_show(engine: Engine, tmp_path: Path) -> None:
     with Victoria(tmp_path) as victoria:
         numbers = NumbersSettings(url=victoria.url)
