@@ -243,8 +243,9 @@ def give_starts(out: Path, fleet: Sequence[FleetBox], new: Sequence[FleetBox]) -
     for box in new:
         path = place_of(out, fleet) / f"{box.name}.start.yaml"
         if not path.exists():
-            others, chosen = choice_of_others(out, fleet, fits, box)
-            shares = loss_shares(others, chosen, known_rehearsals(out, fleet, box))
+            rehearsed = known_rehearsals(out, fleet, box)
+            others, chosen = choice_of_others(out, fleet, fits, rehearsed, box)
+            shares = loss_shares(others, chosen, rehearsed)
             prior = fit_prior(in_kind_structure(others, fits, chosen), shares)
             write_twin_file(prior.start(box.start, str(box.design)), path)
 
@@ -256,17 +257,17 @@ def known_fits(out: Path, fleet: Sequence[FleetBox]) -> Fits:
 
 
 def choice_of_others(
-    out: Path, fleet: Sequence[FleetBox], fits: Fits, new: FleetBox
+    out: Path, fleet: Sequence[FleetBox], fits: Fits, rehearsed: Rehearsals, new: FleetBox
 ) -> tuple[list[BoxSheet], dict[str, Structure]]:
     """Return what the fleet without a box tells, and what serves a new box of it best."""
     others = [sheet for other, sheet in sheets_of(out, fleet).items() if other != new]
-    return others, choose(others, fits, known_rehearsals(out, fleet, new))
+    return others, choose(others, fits, rehearsed)
 
 
 def chosen_fit(out: Path, fleet: Sequence[FleetBox], box: FleetBox) -> TwinFile:
     """Return a box's twin of all that it recorded, in the structure that the others have."""
     fits = known_fits(out, fleet)
-    _, chosen = choice_of_others(out, fleet, fits, box)
+    _, chosen = choice_of_others(out, fleet, fits, known_rehearsals(out, fleet, box), box)
     return fits[box.name, chosen[str(box.design)]]
 
 

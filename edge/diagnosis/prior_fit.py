@@ -53,13 +53,14 @@ def as_over_days(file: TwinFile) -> TwinFile:
 
     What was taken is kept beside, so that it is not taken twice.
     """
-    share = max(provenance_numbers(file, PRIOR, LOSS_SHARE), default=1.0)
-    told = dict(file.provenance.get(PRIOR, {}))
-    if told.pop(LOSS_SHARE, None) is None:
+    told = provenance_numbers(file, PRIOR, LOSS_SHARE)
+    if not told:
         return file
-    share = min(max(share, 1.0 / MOST_LOSS), MOST_LOSS)
-    told = {**told, LOSS_TAKEN: share}
-    return replace(with_loss(file, share), provenance={**file.provenance, PRIOR: told})
+    share = min(max(*told, 1.0 / MOST_LOSS), MOST_LOSS)
+    prior = {key: item for key, item in file.provenance[PRIOR].items() if key != LOSS_SHARE}
+    return replace(
+        with_loss(file, share), provenance={**file.provenance, PRIOR: {**prior, LOSS_TAKEN: share}}
+    )
 
 
 def with_loss(file: TwinFile, share: float) -> TwinFile:

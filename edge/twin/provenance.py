@@ -8,7 +8,6 @@ from edge.twin.twin_file import TwinFile
 
 PRIOR = "prior"  # key: of a start that a fleet has given, what boxes of its kind have in common
 USUAL_MISS = "misses_k"  # key in it: of free runs by twins of such boxes, over rows that no fit saw
-
 LOSS_SHARE = "loss_share"  # key in it: loss over days, as a share of what an hour tells of it
 LOSS_TAKEN = "loss_times"  # key in it: the same, once it is in the twin
 

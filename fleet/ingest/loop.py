@@ -71,7 +71,7 @@ class Ingest:
         self._notifier.ready("waits for VictoriaMetrics", WATCHED_S)
         try:
             # The broker knows one ingest: a second connection would end the first one's, so it waits.
-            if self._wait_for_numbers(ended) and self._wait_for_lease(ended):
+            if self._wait_for_stores(ended):
                 with self._lease.keep():
                     self._serve(ended)
         finally:
@@ -92,24 +92,13 @@ class Ingest:
         finally:
             self._inbox.close()
 
-    def _wait_for_numbers(self, ended: threading.Event) -> bool:
-        """Return once VictoriaMetrics answers: before, nothing that is heard could be stored."""
+    def _wait_for_stores(self, ended: threading.Event) -> bool:
+        """Return once both answer and no other process does the work: before, nothing could be stored."""
         while not ended.is_set():
             try:
                 self._check_options()
-                return True
-            except NumbersError as error:
-                _say(f"{error}; again in {RETRY_MAX_S:g} s")
-                self._notifier.alive(plain(str(error)))
-                ended.wait(RETRY_MAX_S)
-        return False
-
-    def _wait_for_lease(self, ended: threading.Event) -> bool:
-        """Return once no other process does the work."""
-        while not ended.is_set():
-            try:
                 return self._lease.wait(ended, _say, self._notifier.alive)
-            except SQLAlchemyError as error:
+            except (NumbersError, SQLAlchemyError) as error:
                 _say(f"{plain(str(error))}; again in {RETRY_MAX_S:g} s")
                 self._notifier.alive(plain(str(error)))
                 ended.wait(RETRY_MAX_S)

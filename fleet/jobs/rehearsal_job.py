@@ -54,11 +54,8 @@ def rehearse_kinds(
             for job, missed in zip(jobs, found, strict=True):
                 for structure, own in (missed or {}).items():
                     row = BoxRehearsal(rig=job.rig, structure=text_of(structure), utc=utc)
-                    row.told_sha256, row.missed_k, row.loss_share = (
-                        job.told_sha256,
-                        own.missed_k,
-                        own.loss_share,
-                    )
+                    row.told_sha256 = job.told_sha256
+                    row.missed_k, row.loss_share = own.missed_k, own.loss_share
                     session.merge(row)
         done += sum(missed is not None for missed in found)
         failed += sum(missed is None for missed in found)
