@@ -23,14 +23,14 @@ from pathlib import Path
 import yaml
 
 from bench.header import header
-from bench.support.daemon_process import ROOT, run_command
-from bench.support.virtual_board import virtual_board
 from edge.board.virtual_rig import settings_in
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.errors import RequestError
 from edge.core.messages import TickRecord
 from edge.core.processes import end_process
+from tests.support.daemon_process import ROOT, run_command
+from tests.support.virtual_board import virtual_board
 from training.lab import Lab
 
 CARD_MB = 256

@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.default_daemon import SETTINGS, ProcessMemory, cost, memory_of
-from bench.support.broker import Broker, wait_for
-from bench.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
-from bench.support.virtual_board import virtual_board
 from edge.config import loading as config
 from edge.core.messages import TickRecord
 from edge.storage import Outbox
+from tests.support.broker import Broker, wait_for
+from tests.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
+from tests.support.virtual_board import virtual_board
 from training.lab import Lab
 
 WARM_UP_TICKS = 10

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from bench.history_year import head
-from bench.support.simulated_runs import simulate
 from edge.app.nightly_diagnosis import ROWS_MAX
 from edge.formats.run_file import RecordedRun
 from edge.storage.file import connect
 from edge.twin.twin_file import read_twin_file
+from tests.support.simulated_runs import simulate
 
 TWIN = Path("edge/models/default_bundle/twin.yaml")
 FIRST_UTC = 1_767_225_600.0

@@ -25,12 +25,6 @@ from sqlalchemy.orm import Session
 from bench.default_daemon import memory_of
 from bench.header import header
 from bench.outbox import real_ticks
-from bench.support.broker import Broker, wait_for
-from bench.support.daemon_process import ROOT, DaemonProcess
-from bench.support.ingest_process import IngestProcess
-from bench.support.postgres import Postgres
-from bench.support.victoria import Victoria
-from bench.support.virtual_board import virtual_board
 from edge.core.messages import TickRecord
 from edge.formats.tick_json import tick_json
 from edge.mqtt import states
@@ -39,6 +33,12 @@ from edge.tick.status import LoopStatus, status_json
 from fleet.database.base import open_database
 from fleet.database.rigs import FleetRig, StoredSpan
 from fleet.settings import DatabaseSettings
+from tests.support.broker import Broker, wait_for
+from tests.support.daemon_process import ROOT, DaemonProcess
+from tests.support.ingest_process import IngestProcess
+from tests.support.postgres import Postgres
+from tests.support.victoria import Victoria
+from tests.support.virtual_board import virtual_board
 
 STEP_S = 60.0
 SHARES = {0.25: 0.1, 0.5: 0.1, 1.0: 1.0}  # of the rigs -> of the time
@@ -266,7 +266,7 @@ def rig_field(
     known.write_text(json.dumps(templates(ticks)), encoding="utf-8")
     words = [str(port), str(known), str(folder / "lags.txt"), str(step_s)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "bench.support.simulated_rigs", *words],
+        [sys.executable, "-m", "tests.support.simulated_rigs", *words],
         cwd=ROOT,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -21,11 +21,6 @@ from selenium.webdriver.remote.webdriver import WebDriver
 from sqlalchemy.orm import Session
 
 from bench.page_pictures import IMAGES, SETTLE_S, save
-from bench.support.broker import Broker, Listener, free_port, wait_for
-from bench.support.browser import DESK, PHONE, browser
-from bench.support.daemon_process import ROOT
-from bench.support.held_rollout import DAY_S, add_held_rollout
-from bench.support.page_process import Client, cookie_of, listens
 from edge.core.processes import die_with_parent, end_process
 from edge.page.access import Role
 from fleet.database.base import open_database
@@ -34,6 +29,11 @@ from fleet.database.rigs import FleetRig
 from fleet.page.people import EVERY, People
 from fleet.rollout.states import RigState, RolloutState, WaveState
 from fleet.settings import DatabaseSettings
+from tests.support.broker import Broker, Listener, free_port, wait_for
+from tests.support.browser import DESK, PHONE, browser
+from tests.support.daemon_process import ROOT
+from tests.support.held_rollout import DAY_S, add_held_rollout
+from tests.support.page_process import Client, cookie_of, listens
 
 NAME, PASSWORD = "Ann", "for pictures alone"
 KINDS = {"tent": "north", "case": "south"}  # kind -> group

@@ -27,14 +27,14 @@ from unittest.mock import patch
 import yaml
 
 from bench.attack.part import TrialResult
-from bench.support.broker import MOSQUITTO, Broker, Listener, wait_for
-from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.config import loading as config
 from edge.core.errors import RequestError
 from edge.core.hard_limits import LEASE_S
 from edge.core.processes import die_with_parent
 from edge.formats.atomic_file import write_document
 from edge.sockets.client import request
+from tests.support.broker import MOSQUITTO, Broker, Listener, wait_for
+from tests.support.virtual_board import VirtualBoard, virtual_board
 from training.lab import Lab
 
 RIG = "greenhouse/rig-1"

@@ -19,15 +19,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.header import header
-from bench.support.llm_server import (
+from edge.config.settings import LlmSettings
+from edge.core.controller_names import LLM
+from tests.support.llm_server import (
     TRANSFORMERS,
     environment,
     llama_server,
     transformers_server,
     version_of,
 )
-from edge.config.settings import LlmSettings
-from edge.core.controller_names import LLM
 from training.control.comparison import Results, RunResult, read_results, result
 from training.control.figures import mean_of
 from training.control.job import ComparisonJob, is_kept, read, run_all

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from bench.llm_closed_loop import REFERENCE_C, RunRemains, run
-from bench.support.llm_server import TRANSFORMERS, environment, transformers_server, version_of
 from edge.assistant.llm.budget import Budget, Spending
 from edge.assistant.llm.endpoint import Endpoint
 from edge.assistant.llm.failure import LlmFailure
 from edge.config.settings import LlmSettings
+from tests.support.llm_server import TRANSFORMERS, environment, transformers_server, version_of
 
 ROOT = Path(__file__).parents[1]
 PLACE = ROOT / "out" / "llm_real"

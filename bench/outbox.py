@@ -20,8 +20,6 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from bench.support.broker import Broker, Listener
-from bench.support.mqtt_rig import ROOT, ControlLoop, settings
 from edge.config import loading as config
 from edge.config.settings import HistorySettings
 from edge.core.clock import RealClock
@@ -29,6 +27,8 @@ from edge.core.messages import TickRecord
 from edge.formats.tick_json import tick_json
 from edge.mqtt.telemetry import Telemetry
 from edge.storage import Outbox, Storage
+from tests.support.broker import Broker, Listener
+from tests.support.mqtt_rig import ROOT, ControlLoop, settings
 from training.lab import Lab
 
 REPOSITORY = Path(__file__).parent.parent

@@ -1,6 +1,6 @@
 """python -m bench.page_attack: a daemon ticks each second while strangers attack the page beside it.
 
-Quiet and attacked minutes take turns. An attack is all of `bench.support.hostile_requests` again and again,
+Quiet and attacked minutes take turns. An attack is all of `tests.support.hostile_requests` again and again,
 many at once, beside slow requests, 200 open streams of which half are never read, and connections that say
 nothing. The attacker has the lowest priority: in life it is another machine. In the same minutes a bare loop
 of time.sleep shows what this machine's load alone does.
@@ -29,12 +29,12 @@ import numpy as np
 
 from bench.daemon import bare_loop
 from bench.default_daemon import ProcessMemory, memory_of
-from bench.support.broker import wait_for
-from bench.support.daemon_process import ROOT, DaemonProcess
-from bench.support.hostile_requests import CLOSED, HostileRequest, Victim, hostile_requests, send
-from bench.support.page_process import Client, PageProcess, page_of
-from bench.support.virtual_board import virtual_board
 from edge.page.access import DAY_S, Role
+from tests.support.broker import wait_for
+from tests.support.daemon_process import ROOT, DaemonProcess
+from tests.support.hostile_requests import CLOSED, HostileRequest, Victim, hostile_requests, send
+from tests.support.page_process import Client, PageProcess, page_of
+from tests.support.virtual_board import virtual_board
 
 AT_ONCE = 32  # hostile requests under way
 STREAMS, SESSIONS = 200, 20

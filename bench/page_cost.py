@@ -21,9 +21,12 @@ from pathlib import Path
 
 from bench.default_daemon import memory_of
 from bench.history_year import DAY_S, recorded_ticks
-from bench.support.broker import wait_for
-from bench.support.browser import PHONE, browser
-from bench.support.browser_memory import (
+from edge.core.messages import TickRecord
+from edge.page.access import DAY_S as LINK_S
+from edge.page.access import Role
+from tests.support.broker import wait_for
+from tests.support.browser import PHONE, browser
+from tests.support.browser_memory import (
     BrowserMemory,
     browser_memory,
     count_pushes,
@@ -31,12 +34,9 @@ from bench.support.browser_memory import (
     pushes,
     wait_for_pushes,
 )
-from bench.support.page_process import Client, page_of
-from bench.support.quick_daemon import quick_rig
-from bench.support.year_history import build_year
-from edge.core.messages import TickRecord
-from edge.page.access import DAY_S as LINK_S
-from edge.page.access import Role
+from tests.support.page_process import Client, page_of
+from tests.support.quick_daemon import quick_rig
+from tests.support.year_history import build_year
 
 AGAIN = 15  # later looks
 HOUR_S = 3600.0

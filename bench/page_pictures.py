@@ -13,10 +13,10 @@ from pathlib import Path
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webdriver import WebDriver
 
-from bench.support.broker import wait_for
-from bench.support.browser import DESK, PHONE, browser
-from bench.support.daemon_process import ROOT
 from edge.core.processes import end_process
+from tests.support.broker import wait_for
+from tests.support.browser import DESK, PHONE, browser
+from tests.support.daemon_process import ROOT
 
 IMAGES = ROOT / "docs" / "images"
 SPEED, MINUTES = 900.0, 300.0

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.daemon_process import ROOT
 from edge.bundle.store import PACKAGED_FOLDER
 from edge.models.onnx_predictor import open_session
+from tests.support.daemon_process import ROOT
 
 ALONE = ("unshare", "-rn")  # a network namespace of its own, without an address
 CAN = shutil.which("strace") is not None and shutil.which(ALONE[0]) is not None

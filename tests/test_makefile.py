@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
-from bench.support.daemon_process import ROOT
 from fleet.machine.engines import PACKAGES
+from tests.support.daemon_process import ROOT
 
 MAKEFILE = (ROOT / "Makefile").read_text()
 

@@ -24,10 +24,10 @@ import yaml
 
 import edge.__main__ as greenhouse
 import training.__main__ as greenhouse_train
-from bench.support.daemon_process import ROOT
 from edge.config import loading
 from edge.twin.twin_file import read_twin_file
 from fleet.settings import load as load_fleet
+from tests.support.daemon_process import ROOT
 from tools import reference
 
 DOCS = ROOT / "docs"

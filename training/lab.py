@@ -5,7 +5,7 @@
         lab.history  # the records of all ticks
 
 Training, comparisons, benchmarks and tests run a rig in simulated time by this class alone. A daemon in real
-time is a process of its own: `bench/support/daemon_process.py`.
+time is a process of its own: `tests/support/daemon_process.py`.
 """
 
 import math

@@ -21,12 +21,12 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
 from bench.attack.part import TrialResult, main_of
-from bench.support.broker import Broker, Listener
-from bench.support.daemon_process import RIG, DaemonProcess
-from bench.support.virtual_board import VirtualBoard, virtual_board
-from bench.support.watched_clock import ACTUATORS
 from edge.core.errors import RequestError
 from edge.sockets.client import request
+from tests.support.broker import Broker, Listener
+from tests.support.daemon_process import RIG, DaemonProcess
+from tests.support.virtual_board import VirtualBoard, virtual_board
+from tests.support.watched_clock import ACTUATORS
 
 OBEYED_S = 1.0
 GIVE_UP_S = 30.0

@@ -19,12 +19,12 @@ import numpy as np
 import yaml
 
 from bench.attack.plan import AttackPlan, Life
-from bench.support.watched_clock import Look, TimedRequest, WatchedClock, look_at
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.messages import TickRecord
+from tests.support.watched_clock import Look, TimedRequest, WatchedClock, look_at
 from training.lab import Lab
 
 LOOK_S = 0.5

@@ -16,11 +16,11 @@ import numpy as np
 
 from bench.attack import nasty
 from bench.attack.part import TrialResult, main_of
-from bench.support.broker import Broker, Listener, wait_for
-from bench.support.daemon_process import RIG, DaemonProcess
-from bench.support.virtual_board import VirtualBoard, virtual_board
-from bench.support.watched_clock import ACTUATORS
 from edge.mqtt.commands import COMMANDS
+from tests.support.broker import Broker, Listener, wait_for
+from tests.support.daemon_process import RIG, DaemonProcess
+from tests.support.virtual_board import VirtualBoard, virtual_board
+from tests.support.watched_clock import ACTUATORS
 
 STOP_WITHIN_S = 2.0  # through the broker, on a machine that is busy with all of this
 BATCH = 100  # payloads between two looks at the daemon

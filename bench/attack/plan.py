@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.support.watched_clock import TimedRequest
 from firmware_protocol.virtual_board.faults import KINDS, Choice, Number
+from tests.support.watched_clock import TimedRequest
 
 SILENT = ("mute", "unplug", "other_protocol")  # line faults after which the board surely hears nothing valid
 LENGTHS_S = (180.0, 1500.0)  # of one life of the daemon, simulated

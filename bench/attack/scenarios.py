@@ -14,8 +14,8 @@ from bench.attack.lives import Outcome
 from bench.attack.lives import run as live
 from bench.attack.part import TrialResult, main_of
 from bench.attack.plan import SILENT, draw
-from bench.support.watched_clock import Look
 from edge.core.sweep import sweep
+from tests.support.watched_clock import Look
 
 LEASE_S = 10.0  # firmware_protocol/PROTOCOL.md: outputs fall so long after the host's last word
 OBEYED_S = 1.0  # a stop is in force this soon

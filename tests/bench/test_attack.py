@@ -6,7 +6,7 @@ import pytest
 
 from bench.attack import answers, files, floods, payloads, scenarios
 from bench.attack.part import Part, TrialResult
-from bench.support.broker import needs_mosquitto
+from tests.support.broker import needs_mosquitto
 
 PATIENT_S = 10.0  # for a stop where tests run beside it: the bench asks for 1 s
 

@@ -8,7 +8,7 @@ import pytest
 from bench.attack.lives import AnsweredOrder, LifeRemains, Outcome
 from bench.attack.plan import AttackPlan, Life, draw
 from bench.attack.scenarios import violations
-from bench.support.watched_clock import Look
+from tests.support.watched_clock import Look
 
 OK = {"ok": True}
 

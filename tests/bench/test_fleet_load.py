@@ -18,9 +18,9 @@ from bench.fleet_load import (
     lags,
     rig_field,
 )
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from fleet.ingest.state import parse_state
 from fleet.ingest.tick import parse_tick
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
 
 
 def test_a_cost_is_a_line_over_the_rigs() -> None:

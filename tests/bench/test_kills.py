@@ -6,7 +6,7 @@ import pytest
 
 from bench import kills
 from bench.kills import PINS, KillPlan, one_kill, rig_in, run
-from bench.support.broker import needs_mosquitto, wait_for
+from tests.support.broker import needs_mosquitto, wait_for
 
 AT_ONCE = KillPlan("emergency_stop", "socket", 30.0, 0.0, 0.0, 20.0, False, None)
 

@@ -9,12 +9,12 @@ from designed import as_inputs
 from bench.hidden_effects.case_files import Sensing, read_temps, run_of
 from bench.hidden_effects.chamber_box import LEAD_ROWS, RunPlan, drive
 from bench.resolve_alias import CASES, AliasCase, Columns, twin_of
-from bench.support.simulated_runs import silent
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.experiment.design import next_experiment
 from edge.diagnosis.experiment.sequence import ExperimentLimits
 from edge.diagnosis.runs import diagnosis_runs
 from edge.twin.twin_file import TwinFile
+from tests.support.simulated_runs import silent
 
 SENSING = Sensing(noise_k=0.06, step_k=0.1)
 

@@ -21,7 +21,7 @@ from boot_machine import Machine, make_disk, make_tree, run
 from boot_report import BootReport, wait_for
 
 from bench.header import RESULTS, ROOT, header
-from bench.support.virtual_board import VirtualBoard, virtual_board
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 FOLDER = ROOT / "out" / "boot-test"
 AVR = ROOT / "tests" / "firmware_protocol"

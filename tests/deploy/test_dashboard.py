@@ -6,10 +6,10 @@ from dataclasses import replace
 import yaml
 from home_assistant import alive
 
-from bench.support.daemon_process import ROOT
-from bench.support.mqtt_rig import settings
 from edge.config.settings import LlmSettings
 from edge.mqtt import discovery
+from tests.support.daemon_process import ROOT
+from tests.support.mqtt_rig import settings
 
 TEXT = (ROOT / "deploy" / "home_assistant" / "dashboard.yaml").read_text()
 RIG = replace(settings(rig="greenhouse-1"), llm=LlmSettings(url="http://localhost/v1", model="m"))

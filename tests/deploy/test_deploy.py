@@ -16,14 +16,14 @@ from pathlib import Path
 import pytest
 from unit_calls import call_groups, resolved
 
-from bench.support.broker import wait_for
-from bench.support.daemon_process import ROOT, DaemonProcess, run_command
-from bench.support.virtual_board import virtual_board
 from edge.__main__ import parser_for
 from edge.app.daemon import REQUESTS_VARIABLE
 from edge.app.nightly_diagnosis import REQUEST
 from edge.config import loading as config
 from edge.config.settings import Settings
+from tests.support.broker import wait_for
+from tests.support.daemon_process import ROOT, DaemonProcess, run_command
+from tests.support.virtual_board import virtual_board
 
 DEPLOY = ROOT / "deploy"
 UNIT = DEPLOY / "greenhouse.service"

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from certificates import make_certificates
 
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, OutboxRow, record, settings, tick
 from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.support.mqtt_rig import ControlLoop, MemoryOutbox, OutboxRow, record, settings, tick
 
 pytestmark = needs_mosquitto
 DEPLOY = Path(__file__).parents[2] / "deploy"

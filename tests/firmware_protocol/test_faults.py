@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from line_host import LineHost
 
-from bench.support.virtual_board import virtual_board
 from firmware_protocol.link import BoardReset, LinkLost, LinkUp, Nonsense, VersionRefused
 from firmware_protocol.messages import Capability, Quality
 from firmware_protocol.virtual_board.core import Pins
@@ -17,6 +16,7 @@ from firmware_protocol.virtual_board.faults import KINDS, FaultError, Schedule, 
 from firmware_protocol.virtual_board.plant import Plant
 from firmware_protocol.virtual_board.port import FaultyLine
 from firmware_protocol.virtual_board.sensors import SensorFaults
+from tests.support.virtual_board import virtual_board
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,6 @@ import pytest
 import serial
 from line_host import LineHost
 
-from bench.support.virtual_board import VirtualBoard, command, virtual_board
 from edge.board.serial_port import SerialPort
 from edge.board.sim_clock import SimClock
 from firmware_protocol.frame import FrameDecoder, encode
@@ -26,6 +25,7 @@ from firmware_protocol.messages import (
     pack,
     unpack,
 )
+from tests.support.virtual_board import VirtualBoard, command, virtual_board
 
 pytestmark = pytest.mark.slow
 

@@ -6,12 +6,12 @@ import pytest
 from bundles import Workshop
 from sqlalchemy.orm import Session
 
-from bench.support.held_rollout import add_held_rollout
 from edge.__main__ import main
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout
 from fleet.database.rigs import FleetRig
 from fleet.settings import DatabaseSettings
+from tests.support.held_rollout import add_held_rollout
 
 
 @pytest.fixture

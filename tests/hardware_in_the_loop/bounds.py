@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 from run import ScenarioRun, run
 
-from bench.support.watched_clock import TimedRequest
+from tests.support.watched_clock import TimedRequest
 
 SEEDS = (1, 2, 3)
 LOOK_S = 10.0

@@ -9,11 +9,11 @@ from typing import Any
 
 import yaml
 
-from bench.support.watched_clock import Look, TimedRequest, WatchedClock
 from edge.board.sim_clock import START_UTC
 from edge.board.virtual_rig import BOARD
 from edge.config import loading as config
 from edge.core.messages import TickRecord
+from tests.support.watched_clock import Look, TimedRequest, WatchedClock
 from training.lab import Lab
 
 VALVE_FLOW_KG_S, TANK_KG = 0.008, 2.0  # chamber.yaml: tank

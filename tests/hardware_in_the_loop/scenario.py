@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from bench.support.watched_clock import TimedRequest
+from tests.support.watched_clock import TimedRequest
 
 FOLDER = Path(__file__).parent / "scenarios"
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bench.support.virtual_board import VirtualBoard, virtual_board
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 LEASE_S = 10.0
 SLACK_S = 0.5  # of a busy machine, for looking only

@@ -6,9 +6,9 @@ from typing import Any
 
 from home_run import LIMIT_S, RIG, Holds, HomeRun
 
-from bench.support.broker import wait_for
 from edge.config import loading as config
 from edge.mqtt import discovery
+from tests.support.broker import wait_for
 
 ENTITIES_S = 90.0  # the first tick may come before the board's first report: values come with the second
 WISH = "keep 26 by day and 20 at night, go easy on the fan"

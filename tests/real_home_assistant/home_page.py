@@ -4,7 +4,7 @@ import json
 
 from selenium.webdriver.remote.webdriver import WebDriver
 
-from bench.support.broker import wait_for
+from tests.support.broker import wait_for
 
 # A Home Assistant page is shadow trees within shadow trees, which no selector enters.
 COUNT = """

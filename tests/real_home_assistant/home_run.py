@@ -6,9 +6,9 @@ from typing import Any
 
 from server import RealHomeAssistant
 
-from bench.support.broker import wait_for
-from bench.support.daemon_process import DaemonProcess
-from bench.support.virtual_board import VirtualBoard
+from tests.support.broker import wait_for
+from tests.support.daemon_process import DaemonProcess
+from tests.support.virtual_board import VirtualBoard
 
 LIMIT_S = 2.0
 RIG = "greenhouse-1"  # as in the dashboard

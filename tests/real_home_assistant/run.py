@@ -19,10 +19,10 @@ from home_run import LIMIT_S, RIG, HomeRun
 from server import RealHomeAssistant
 
 from bench.header import header
-from bench.support.broker import Broker, wait_for
-from bench.support.browser import browser, missing, resize
-from bench.support.daemon_process import ROOT, DaemonProcess
-from bench.support.virtual_board import virtual_board
+from tests.support.broker import Broker, wait_for
+from tests.support.browser import browser, missing, resize
+from tests.support.daemon_process import ROOT, DaemonProcess
+from tests.support.virtual_board import virtual_board
 from training.llm_stand_in import MODEL
 from training.llm_stand_in.server import StandIn
 

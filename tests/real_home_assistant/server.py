@@ -14,8 +14,8 @@ from typing import Any, Self
 import requests
 import yaml
 
-from bench.support.broker import free_port, wait_for
 from edge.core.processes import die_with_parent, end_process
+from tests.support.broker import free_port, wait_for
 
 START_S = 120.0  # a busy machine imports slowly
 OWNER, TOKEN_ID, KEY = "0" * 32, "1" * 32, "2" * 128

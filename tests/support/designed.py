@@ -7,7 +7,6 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.support.simulated_runs import NOISE, STEP_S, coloured_noise
 from edge.diagnosis.experiment.design import design_experiment
 from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.rivals import RivalPair, Rivals
@@ -24,6 +23,7 @@ from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest
+from tests.support.simulated_runs import NOISE, STEP_S, coloured_noise
 
 Floats = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]

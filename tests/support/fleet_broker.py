@@ -12,12 +12,12 @@ from typing import Self
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from bench.support.broker import PATIENCE_S, wait_for
-from bench.support.page_process import listens
 from edge.core.processes import die_with_parent, end_process
 from fleet.machine.engines import engines
 from fleet.machine.places import FleetPlaces, places_of
 from fleet.machine.setting_up import set_up
+from tests.support.broker import PATIENCE_S, wait_for
+from tests.support.page_process import listens
 
 
 class FleetBroker:

@@ -6,7 +6,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
 
-from bench.support.broker import wait_for
+from tests.support.broker import wait_for
 
 PATIENCE_S = 40.0
 

@@ -11,8 +11,6 @@ from typing import Any
 import uvicorn
 from sqlalchemy.orm import Session
 
-from bench.support.broker import free_port, wait_for
-from bench.support.page_process import Client, listens
 from edge.config.settings import PageSettings
 from edge.page.access import Role
 from edge.page.server import config_of, listen
@@ -21,6 +19,8 @@ from fleet.database.rigs import FleetRig
 from fleet.page.app import make_fleet_app
 from fleet.page.people import EVERY, People
 from fleet.settings import DatabaseSettings, FleetPageSettings, FleetSettings
+from tests.support.broker import free_port, wait_for
+from tests.support.page_process import Client, listens
 
 PASSWORD = "a good long one"
 TOKEN = "only vmalert knows this"

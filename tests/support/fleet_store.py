@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
-from bench.support.fleet_rig import RigWithoutBoard
 from fleet.database.rigs import StoredSpan
 from fleet.numbers.series import selector
 from fleet.numbers.victoria import Numbers, NumbersError
+from tests.support.fleet_rig import RigWithoutBoard
 
 DAY_S = 86400.0
 BROKER = "allow_anonymous true\npersistence true\nmax_queued_messages 0\nmax_inflight_messages 0"

@@ -2,11 +2,11 @@
 
 from typing import Any
 
-from bench.support.virtual_board import VirtualBoard
 from edge.board.serial_port import PortGone, SerialPort
 from edge.board.sim_clock import SimClock
 from firmware_protocol.link import Link, LinkEvent, Report
 from firmware_protocol.messages import CommandMessage
+from tests.support.virtual_board import VirtualBoard
 
 RENEW_S = 3.0
 

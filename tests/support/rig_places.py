@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.mqtt import connection, telemetry
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 
 @pytest.fixture

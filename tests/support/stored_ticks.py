@@ -3,13 +3,13 @@
 import json
 from dataclasses import replace
 
-from bench.support.mqtt_rig import record
 from edge.core.messages import Reading, ReadingQuality
 from edge.formats.run_file import RecordedRun
 from edge.formats.tick_json import tick_json
 from fleet.ingest.tick import parse_tick
 from fleet.numbers.series import lines
 from fleet.numbers.victoria import Numbers
+from tests.support.mqtt_rig import record
 
 START = 1.79e9
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.broker import wait_for
 from edge.app import commission_button
 from edge.app.box import BEFORE, description_of
 from edge.app.commission_button import CommissionDesk, refusal
@@ -23,6 +22,7 @@ from edge.state.writer import StateWriter
 from edge.tick.orders import FanMode, Operation
 from edge.tick.status import status_json
 from edge.twin.new_file import BoxDescription, text
+from tests.support.broker import wait_for
 from training.lab import InProcessBoard
 
 TWIN = Path("training/results/paper_case/interpolation/twin.yaml").resolve()

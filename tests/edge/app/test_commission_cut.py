@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
-from bench.support.simulated_runs import twin_file
 from edge.app.commission import search_past_steps
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.twin_file import TwinFile
+from tests.support.simulated_runs import twin_file
 
 CUT, FADING = "unnamed_cut", "heater_derating"
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import silent
 from edge.app.commission import SEEN_MIN_K, Commissioned, learn
 from edge.app.step_test_record import STEP_S
 from edge.config.settings import ControlSettings
@@ -18,6 +17,7 @@ from edge.twin.provenance import PRIOR
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest
+from tests.support.simulated_runs import silent
 
 pytestmark = pytest.mark.slow
 ROOM_C, OFFSET_K = 20.0, 0.4

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.broker import Broker, Listener, needs_mosquitto
+from tests.support.broker import Broker, Listener, needs_mosquitto
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow

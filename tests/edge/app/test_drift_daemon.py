@@ -10,7 +10,6 @@ import pytest
 from bundles import FACTS, Workshop, install
 
 from bench.drift_alarms import with_fan
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from edge.app import daemon
 from edge.app.nightly_diagnosis import NightlyDiagnosis
 from edge.bundle.keeper import carry_out
@@ -22,6 +21,7 @@ from edge.core.controller import Context
 from edge.core.messages import Command, Decision, DriftState, TickRecord
 from edge.drift import monitor
 from edge.twin.twin_file import read_twin_file, write_twin_file
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from training.lab import Lab
 
 pytestmark = pytest.mark.slow

@@ -16,8 +16,6 @@ from zoneinfo import ZoneInfo
 import pytest
 from loop_rig import FakeClock
 
-from bench.support.broker import wait_for
-from bench.support.mqtt_rig import record
 from edge.app import nightly_diagnosis
 from edge.app.nightly_diagnosis import (
     ANSWER,
@@ -37,6 +35,8 @@ from edge.app.nightly_diagnosis import (
 )
 from edge.config.settings import DriftSettings
 from edge.core.messages import Drift, DriftState, Event
+from tests.support.broker import wait_for
+from tests.support.mqtt_rig import record
 
 NIGHT = datetime(2026, 7, 1, 3, 0, tzinfo=UTC).timestamp()
 DISAGREES = Drift(DriftState.DISAGREES)

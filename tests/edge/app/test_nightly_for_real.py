@@ -8,13 +8,13 @@ import pytest
 from history_records import HandClock, History, tick
 from loop_rig import FakeClock
 
-from bench.support.broker import wait_for
-from bench.support.simulated_runs import BOX, simulate, twin_file
 from edge.app.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.config.settings import DriftSettings
 from edge.core.messages import Command, Echo, Reading, ReadingQuality
 from edge.storage import Storage
 from edge.twin.twin_file import write_twin_file
+from tests.support.broker import wait_for
+from tests.support.simulated_runs import BOX, simulate, twin_file
 
 pytestmark = pytest.mark.slow
 

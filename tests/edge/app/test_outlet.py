@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
-from bench.support.broker import wait_for
-from bench.support.daemon_process import ROOT, DaemonProcess, run_command
-from bench.support.virtual_board import VirtualBoard
 from edge.app.outlet import WAITING_MAX, Outlet, standard_output
 from edge.core.processes import die_with_parent
+from tests.support.broker import wait_for
+from tests.support.daemon_process import ROOT, DaemonProcess, run_command
+from tests.support.virtual_board import VirtualBoard
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

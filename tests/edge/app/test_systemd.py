@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.broker import wait_for
-from bench.support.daemon_process import ROOT, DaemonProcess
-from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.app.systemd import WATCHDOG_MIN_S, Notifier, watchdog_s
 from edge.config.settings import ControlSettings
+from tests.support.broker import wait_for
+from tests.support.daemon_process import ROOT, DaemonProcess
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 pytestmark = pytest.mark.slow
 

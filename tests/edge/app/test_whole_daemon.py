@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from bench.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
-from bench.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
-from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.tick.orders import in_words
+from tests.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
+from tests.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

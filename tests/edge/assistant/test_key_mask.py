@@ -10,10 +10,10 @@ from urllib.parse import quote, quote_plus
 
 import pytest
 
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.daemon_process import RIG, DaemonProcess
-from bench.support.virtual_board import virtual_board
 from edge.assistant.llm.endpoint import MASK, key_pattern
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.support.daemon_process import RIG, DaemonProcess
+from tests.support.virtual_board import virtual_board
 from training.llm_stand_in.behaviours import Sending, refusal
 from training.llm_stand_in.server import StandIn
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.daemon_process import RIG, DaemonProcess
-from bench.support.virtual_board import VirtualBoard
 from edge.__main__ import main
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.support.daemon_process import RIG, DaemonProcess
+from tests.support.virtual_board import VirtualBoard
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow

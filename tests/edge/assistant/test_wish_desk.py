@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from test_steering import TWIN, document, status
 
-from bench.support.broker import wait_for
 from edge.assistant.requests.desk import PROPOSAL_AGE_MAX_S, DeskParts, PendingRequest, WishDesk
 from edge.config import loading as config
 from edge.core.errors import DataError
 from edge.twin.model import BoxTwin
+from tests.support.broker import wait_for
 
 pytestmark = pytest.mark.slow
 

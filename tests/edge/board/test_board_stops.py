@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.board.board import Board
 from edge.board.sim_clock import SimClock
 from edge.core.messages import Command
 from firmware_protocol.messages import ReleaseStop
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 EVERYTHING = Command(heater_duty=1.0, fan_on=True, led=0.5, valve_pulse_s=0.0)
 CORES = ("python", "c")

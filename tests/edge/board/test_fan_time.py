@@ -3,9 +3,9 @@
 import pytest
 from test_board_stops import host, serve
 
-from bench.support.virtual_board import virtual_board
 from edge.core.messages import Command
 from firmware_protocol.messages import Capability
+from tests.support.virtual_board import virtual_board
 
 STEP_S = 12.0
 

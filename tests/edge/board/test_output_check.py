@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from bench.support.virtual_board import VirtualBoard, virtual_board
 from edge.board import output_check
 from edge.board.board_session import BoardSession
 from edge.board.output_check import CHECKS, OutputRefused, outputs, run_check, suited_check
@@ -28,6 +27,7 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.board_samples import Samples
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 pytest_plugins = ["rig_places"]
 

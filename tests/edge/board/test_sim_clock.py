@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.support.virtual_board import virtual_board
 from edge.board.serial_port import PortGone, SerialPort
 from edge.board.sim_clock import START_UTC, BoardProcessGone, SimClock
 from edge.core.errors import GreenhouseError
 from firmware_protocol.frame import FrameDecoder, encode
 from firmware_protocol.messages import Hello, HelloRequest, pack, unpack
 from firmware_protocol.virtual_board.lockstep import milliseconds
+from tests.support.virtual_board import virtual_board
 
 
 @dataclass

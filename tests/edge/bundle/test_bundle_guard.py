@@ -8,7 +8,6 @@ import pytest
 from bundles import Workshop, install, load_nothing, make_store
 
 from bench.attack.bundles import ENDLESS, GREEDY, KINDS, run
-from bench.support.broker import wait_for
 from edge.__main__ import main
 from edge.bundle.archive import open_archive
 from edge.bundle.check import read_checked
@@ -20,6 +19,7 @@ from edge.bundle.sign import ManifestFacts, build_bundle
 from edge.bundle.store import PACKAGED_FOLDER, BundleStore, release
 from edge.core.clock import RealClock
 from edge.core.errors import DataError
+from tests.support.broker import wait_for
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,6 @@ import pytest
 from bundles import Workshop, make_store
 from certificates import make_certificates
 
-from bench.support.broker import wait_for
 from edge.bundle import remote
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.manifest import PACKAGED
@@ -23,6 +22,7 @@ from edge.bundle.store import BundleStore
 from edge.core.clock import RealClock
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Event
+from tests.support.broker import wait_for
 
 
 @contextmanager

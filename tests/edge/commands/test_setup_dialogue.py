@@ -15,7 +15,6 @@ from typing import Any
 
 import pytest
 
-from bench.support.virtual_board import VirtualBoard
 from edge.__main__ import main
 from edge.app import setup as steps
 from edge.app.setup import QUESTIONS, SetupAnswers
@@ -30,6 +29,7 @@ from edge.twin.twin_file import read_twin_file
 from firmware_protocol.messages import Capability, ResetCause
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.board_samples import Samples
+from tests.support.virtual_board import VirtualBoard
 
 pytest_plugins = ["rig_places"]
 

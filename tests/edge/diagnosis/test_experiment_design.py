@@ -23,7 +23,6 @@ from designed import (
 from diagnosis_examples import named_story
 from safety_cases import NOW, UTC, view
 
-from bench.support.simulated_runs import NOISE, STEP_S
 from edge.config.settings import SafetySettings
 from edge.core.messages import Command
 from edge.diagnosis.diagnosis_file import check_diagnosis
@@ -41,6 +40,7 @@ from edge.diagnosis.trial import Trial
 from edge.formats.profile_file import read_profile
 from edge.safety.supervisor import SafetyMemory, supervise
 from edge.twin.value import Value
+from tests.support.simulated_runs import NOISE, STEP_S
 
 AIR = {"extra_capacity": {"kC": 10.0}}
 BOX = {**AIR, "wall_loss": {"UA": 5.0}}

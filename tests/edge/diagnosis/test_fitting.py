@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.support.simulated_runs import BOX, NOISE, Effects, Floats, change_run, simulate, twin_file
 from edge.diagnosis.fitting import fit, slopes
 from edge.diagnosis.noise_levels import find_levels
 from edge.diagnosis.nuisances import rooms
@@ -21,6 +20,7 @@ from edge.twin.geometry import Geometry
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
+from tests.support.simulated_runs import BOX, NOISE, Effects, Floats, change_run, simulate, twin_file
 
 pytestmark = pytest.mark.slow
 

@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import (
+from edge.diagnosis.gap import START_ROWS, RunForecast, alone, errors, floor_squares, forecast, one_step
+from edge.diagnosis.runs import NamedRun
+from edge.formats.run_file import RecordedRun, resample
+from edge.twin.model import BoxTwin
+from edge.twin.run_batch import RunBatch
+from tests.support.simulated_runs import (
     BOX,
     NOISE,
     QUIET,
@@ -16,11 +21,6 @@ from bench.support.simulated_runs import (
     simulate,
     twin_file,
 )
-from edge.diagnosis.gap import START_ROWS, RunForecast, alone, errors, floor_squares, forecast, one_step
-from edge.diagnosis.runs import NamedRun
-from edge.formats.run_file import RecordedRun, resample
-from edge.twin.model import BoxTwin
-from edge.twin.run_batch import RunBatch
 
 PLAIN = BoxTwin(effects=BOX)
 SLOW = {"extra_capacity": {"kC": 10.0}, "wall_mass": {"C_w": 6000.0, "G_in": 9.0, "G_out": 7.2},

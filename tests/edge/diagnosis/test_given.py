@@ -5,16 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import (
-    BOX,
-    NOISE,
-    Floats,
-    as_diagnosis_runs,
-    change_run,
-    known_effects,
-    simulate,
-    twin_file,
-)
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.gap import errors, forecast
 from edge.diagnosis.nuisances import CURVATURE_SD, USUAL_LOSS_W_K, still_loss_w_k
@@ -26,6 +16,16 @@ from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
+from tests.support.simulated_runs import (
+    BOX,
+    NOISE,
+    Floats,
+    as_diagnosis_runs,
+    change_run,
+    known_effects,
+    simulate,
+    twin_file,
+)
 
 ROWS = 64
 DOOR_W_K = 20.0

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, multivariate_normal
 
-from bench.support.simulated_runs import BOX, NOISE, STEP_S, Floats, coloured_noise
 from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, log_likelihoods, whiten
 from edge.twin.linearise import linearise
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import spread
+from tests.support.simulated_runs import BOX, NOISE, STEP_S, Floats, coloured_noise
 
 SLOW = BoxTwin(
     effects={

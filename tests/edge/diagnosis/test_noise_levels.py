@@ -6,7 +6,6 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, NOISE, change_run, simulate, twin_file
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.innovations import NoiseLevels
 from edge.diagnosis.noise_levels import (
@@ -23,6 +22,7 @@ from edge.diagnosis.noise_levels import (
 from edge.diagnosis.trial import FittedTwin, Trial
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
+from tests.support.simulated_runs import BOX, NOISE, change_run, simulate, twin_file
 
 LOUD = NoiseLevels(sensor_k=0.3, room_k=0.05, heat_w=3.0, heat_tau_s=600.0, power_share=0.01)
 HEATER_W = 100.0  # of a twin file that does not say

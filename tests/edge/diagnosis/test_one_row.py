@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
-from bench.support.simulated_runs import BOX, QUIET, as_diagnosis_runs, change_run, simulate, twin_file
 from edge import DiagnosisResult, Run, Twin, diagnose
 from edge.core.errors import DataError
 from edge.diagnosis import candidates
@@ -30,6 +29,7 @@ from edge.twin.network import Network
 from edge.twin.schema import schema
 from edge.twin.twin_file import read_twin_file
 from edge.twin.value import Value
+from tests.support.simulated_runs import BOX, QUIET, as_diagnosis_runs, change_run, simulate, twin_file
 
 ROOT = Path(__file__).parents[3]
 # Whole models that are made of effects, in which a new one has no part.

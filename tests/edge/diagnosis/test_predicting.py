@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, as_diagnosis_runs, silent, simulate, twin_file
 from edge.diagnosis.baselines import arx_errors, arx_weights, simple_twins
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.evidence import discover
@@ -27,6 +26,7 @@ from edge.formats.run_file import RecordedRun
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
+from tests.support.simulated_runs import BOX, as_diagnosis_runs, silent, simulate, twin_file
 
 pytestmark = pytest.mark.slow
 

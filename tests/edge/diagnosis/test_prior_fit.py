@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, as_diagnosis_runs, simulate
 from edge.diagnosis import prior_fit
 from edge.diagnosis.diagnose import fitted_twin
 from edge.diagnosis.prepare import prepare
@@ -14,6 +13,7 @@ from edge.formats.run_file import RecordedRun
 from edge.twin.draws import CORRELATION, uncertain
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
+from tests.support.simulated_runs import BOX, as_diagnosis_runs, simulate
 
 SPREAD = 0.1
 MISSES_K = (0.0, 0.3, 1.0)

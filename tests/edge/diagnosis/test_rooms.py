@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, as_diagnosis_runs, simulate, twin_file
 from edge.diagnosis import linearisation
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.free_fit import fit_values, free_levels
@@ -16,6 +15,7 @@ from edge.diagnosis.trial import Trial
 from edge.formats.run_file import RecordedRun
 from edge.twin.run_batch import batch_runs
 from edge.twin.value import Value
+from tests.support.simulated_runs import BOX, as_diagnosis_runs, simulate, twin_file
 
 
 @pytest.mark.parametrize(

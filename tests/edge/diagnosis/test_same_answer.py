@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, as_diagnosis_runs, change_run, silent, simulate, twin_file
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
+from tests.support.simulated_runs import BOX, as_diagnosis_runs, change_run, silent, simulate, twin_file
 
 pytestmark = pytest.mark.slow
 

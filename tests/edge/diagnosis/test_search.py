@@ -7,13 +7,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, Effects, change_run, search_over, simulate, twin_file
 from edge.diagnosis import candidates as module
 from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.search import RIVAL_NATS, Round, Search
 from edge.formats.run_file import RecordedRun
 from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.value import Value
+from tests.support.simulated_runs import BOX, Effects, change_run, search_over, simulate, twin_file
 
 pytestmark = pytest.mark.slow
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.simulated_runs import BOX, search_over, simulate
 from edge.core.processes import processors
 from edge.diagnosis.side_by_side import AT_ONCE, SideBySide
+from tests.support.simulated_runs import BOX, search_over, simulate
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from bench.support.simulated_runs import BOX, Effects, change_run, simulate, twin_file
 from edge.__main__ import main
 from edge.diagnosis import candidates
 from edge.diagnosis.diagnosis_file import check_diagnosis, schema
@@ -20,6 +19,7 @@ from edge.formats.run_file import RecordedRun, absence_facts, data_sha256, write
 from edge.models.pbm import read_twin
 from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
+from tests.support.simulated_runs import BOX, Effects, change_run, simulate, twin_file
 
 pytestmark = pytest.mark.slow
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import NOISE, as_diagnosis_runs, silent, simulate, twin_file
 from edge.diagnosis import candidates
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.diagnose import diagnose
@@ -17,6 +16,7 @@ from edge.twin.effects.library import EFFECTS, UNNAMED_EFFECTS
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.value import Value
+from tests.support.simulated_runs import NOISE, as_diagnosis_runs, silent, simulate, twin_file
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, NOISE, simulate, twin_file
 from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.fitting import fit
 from edge.diagnosis.formulas import shapes
@@ -16,6 +15,7 @@ from edge.diagnosis.unknowns import unknowns, with_effect
 from edge.diagnosis.verdict import DiagnosisVerdict, interval, intervals, verdict
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
+from tests.support.simulated_runs import BOX, NOISE, simulate, twin_file
 
 SHAPE = {f"~{shape.text}": shape for shape in shapes()}
 NO_RUNS = RunBatch(np.full((1, 3), 21.0), np.zeros((1, 2)), np.zeros((1, 2)), np.full((1, 2), 21.0))

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.support.mqtt_rig import record
 from edge.core.messages import Command, Decision
 from edge.formats.tick_json import json_value, number, tick_json
+from tests.support.mqtt_rig import record
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,6 @@ from datetime import datetime, timedelta
 import pytest
 from home_assistant import alive, check_device, check_topic
 
-from bench.support.mqtt_rig import ROOT, ControlLoop, record, settings
 from edge.assistant.requests.desk import nothing_asked
 from edge.config.settings import BoxSettings, ControlSettings, LlmSettings, ReferenceSettings, Settings
 from edge.core.controller_names import LLM
@@ -18,6 +17,7 @@ from edge.mqtt import discovery, states
 from edge.mqtt.commands import parse
 from edge.mqtt.discovery import PREDICTORS
 from edge.mqtt.topics import Topics
+from tests.support.mqtt_rig import ROOT, ControlLoop, record, settings
 
 CONFIGURED = settings()
 PAYLOAD = discovery.device(CONFIGURED)

@@ -5,11 +5,11 @@ import json
 import pytest
 from home_assistant import check_device
 
-from bench.support.mqtt_rig import ControlLoop, record, settings
 from edge.app.display import page
 from edge.core.messages import Drift, DriftRow, DriftState
 from edge.mqtt import discovery, states
 from edge.mqtt.topics import Topics
+from tests.support.mqtt_rig import ControlLoop, record, settings
 
 CONFIGURED = settings()
 SENSOR = discovery.device(CONFIGURED)["components"]["twin_disagrees"]

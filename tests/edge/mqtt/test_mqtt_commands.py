@@ -2,12 +2,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.support.mqtt_rig import desk
 from edge.app.request_routes import ASKED_OF_THE_DESK
 from edge.config.settings import ReferenceSettings
 from edge.core.errors import RequestError
 from edge.mqtt.commands import COMMANDS, PAYLOAD_MAX, parse
 from edge.tick.orders import Operation, operate
+from tests.support.mqtt_rig import desk
 
 REFERENCE = ReferenceSettings(min_c=15.0, max_c=38.0)
 

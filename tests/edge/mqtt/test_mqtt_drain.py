@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, settings
 from edge.mqtt import drain
 from edge.mqtt.drain import BATCH_ROWS, REFUSED_PAUSE_S, Drain
 from edge.mqtt.telemetry import WINDOW_RESERVE, Telemetry
+from tests.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
+from tests.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, settings
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.daemon_process import RIG, DaemonProcess
-from bench.support.mqtt_rig import ROOT as TOPICS
-from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, settings
-from bench.support.virtual_board import virtual_board
 from edge.core.event_log import Allowance
 from edge.mqtt.telemetry import COMMANDS_WAITING_MAX, Telemetry
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.support.daemon_process import RIG, DaemonProcess
+from tests.support.mqtt_rig import ROOT as TOPICS
+from tests.support.mqtt_rig import ControlLoop, MemoryOutbox, settings
+from tests.support.virtual_board import virtual_board
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

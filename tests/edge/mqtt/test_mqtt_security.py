@@ -6,11 +6,11 @@ from contextlib import closing
 import pytest
 from certificates import make_certificates
 
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings, tick
 from edge.core.errors import ConfigError
 from edge.mqtt.connection import make_client
 from edge.mqtt.telemetry import Telemetry
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings, tick
 
 pytestmark = pytest.mark.usefixtures("quick_reconnect")
 pytest_plugins = ["rig_places"]

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from bench.support.mqtt_rig import ControlLoop, record
 from edge.core.messages import Echo, Forecast, ForecastSkill, Reading, ReadingQuality
 from edge.formats.tick_json import echo_json
 from edge.mqtt import states
 from edge.tick.orders import FanMode, Mode
+from tests.support.mqtt_rig import ControlLoop, record
 
 
 def state(loop: ControlLoop, **counters):

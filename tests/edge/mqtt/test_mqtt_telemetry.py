@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings, tick
 from edge import models
 from edge.__main__ import main
 from edge.core.errors import ConfigError, RequestError
@@ -22,6 +20,8 @@ from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
 from edge.sockets.control_socket import ControlSocket
 from edge.twin.twin_file import read_twin_file, write_twin_file
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.support.mqtt_rig import ROOT, ControlLoop, MemoryOutbox, record, settings, tick
 
 pytestmark = [pytest.mark.usefixtures("quick_reconnect"), needs_mosquitto]
 pytest_plugins = ["rig_places"]
@@ -140,7 +140,7 @@ def test_closing_says_offline(broker):
 
 def test_the_last_will_speaks_for_a_killed_process(broker):
     program = (
-        "from bench.support.mqtt_rig import *; from edge.mqtt.telemetry import Telemetry; import time;"
+        "from tests.support.mqtt_rig import *; from edge.mqtt.telemetry import Telemetry; import time;"
         "loop = ControlLoop();"
         f"t = Telemetry(settings({broker.port}), loop.ask, loop.post, MemoryOutbox); time.sleep(60)"
     )

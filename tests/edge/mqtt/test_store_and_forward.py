@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ROOT, ControlLoop, settings
 from edge.mqtt.telemetry import Telemetry
 from edge.storage import Outbox
+from tests.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
+from tests.support.mqtt_rig import ROOT, ControlLoop, settings
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_reconnect"), needs_mosquitto]
 pytest_plugins = ["rig_places"]

@@ -14,7 +14,6 @@ import pytest
 from alarm_servers import MailSink, http_sink, mail_sink, silent_server
 from certificates import make_certificates
 
-from bench.support.broker import free_port, wait_for
 from edge.config.alarm_settings import (
     AlarmSettings,
     LifeSignSettings,
@@ -34,6 +33,7 @@ from edge.page.alarms.alarm_message import (
 )
 from edge.page.alarms.channels import channels_of, give_life_sign, header_text
 from edge.page.alarms.exchange import Cut, SendError
+from tests.support.broker import free_port, wait_for
 
 UTC = 1.7e9
 PAGE = "https://rig.example.org/"

@@ -15,7 +15,6 @@ from alarm_servers import HttpSink, http_sink, mail_sink, silent_server
 from history_records import START_UTC, HandClock, store, tick
 from rig_views import view
 
-from bench.support.broker import PATIENCE_S, free_port
 from edge.config.loading import parse
 from edge.core.errors import RequestError
 from edge.core.messages import Event, Severity
@@ -27,6 +26,7 @@ from edge.page.alarms.channels import LIFE_SIGN
 from edge.page.alarms.exchange import SendError
 from edge.page.alarms.messenger import AGAIN_MAX_S, MESSAGES_MAX, MESSAGES_S
 from edge.page.rig_link import RigLink
+from tests.support.broker import PATIENCE_S, free_port
 
 REPEAT_S = 1800.0
 STOPPED: Any = {"operation": {"emergency_stop": True}}

@@ -13,13 +13,13 @@ import pytest
 from alarm_servers import HttpSink, http_sink
 from selenium.webdriver.common.by import By
 
-from bench.support.broker import free_port, wait_for
-from bench.support.browser import PHONE, browser
-from bench.support.daemon_process import ROOT, DaemonProcess
-from bench.support.page_process import PageProcess, open_page, page_of
-from bench.support.virtual_board import VirtualBoard
 from edge.page.access import Role
 from edge.page.alarms import alarm_state
+from tests.support.broker import free_port, wait_for
+from tests.support.browser import PHONE, browser
+from tests.support.daemon_process import ROOT, DaemonProcess
+from tests.support.page_process import PageProcess, open_page, page_of
+from tests.support.virtual_board import VirtualBoard
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

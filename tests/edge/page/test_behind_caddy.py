@@ -15,13 +15,13 @@ import pytest
 import requests
 from requests.adapters import HTTPAdapter
 
-from bench.support.broker import free_port, wait_for
-from bench.support.daemon_process import ROOT
-from bench.support.page_process import Client, PageProcess, cookie_of, listens, page_of
 from edge.commands.page import address
 from edge.config.settings import PageSettings, Settings
 from edge.core.processes import end_process
 from edge.page.access import DAY_S, Role
+from tests.support.broker import free_port, wait_for
+from tests.support.daemon_process import ROOT
+from tests.support.page_process import Client, PageProcess, cookie_of, listens, page_of
 
 pytestmark = pytest.mark.slow
 NAME = "greenhouse.example.org"

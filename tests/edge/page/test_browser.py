@@ -15,13 +15,13 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
 from selenium.webdriver.support.select import Select
 
-from bench.support.broker import free_port, wait_for
-from bench.support.browser import DESK, PHONE, browser
-from bench.support.daemon_process import DaemonProcess
-from bench.support.page_process import PageProcess, open_page, page_of
-from bench.support.virtual_board import VirtualBoard
 from edge.core.hard_limits import LEASE_S
 from edge.page.access import Role
+from tests.support.broker import free_port, wait_for
+from tests.support.browser import DESK, PHONE, browser
+from tests.support.daemon_process import DaemonProcess
+from tests.support.page_process import PageProcess, open_page, page_of
+from tests.support.virtual_board import VirtualBoard
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

@@ -10,12 +10,12 @@ from selenium.webdriver.remote.webdriver import WebDriver
 from selenium.webdriver.support.ui import Select
 from test_browser import complaints, enter, heats, tap, text
 
-from bench.support.broker import wait_for
-from bench.support.browser import PHONE, browser
-from bench.support.daemon_process import DaemonProcess
-from bench.support.page_process import PageProcess, page_of
-from bench.support.virtual_board import VirtualBoard
 from edge.page.access import Role
+from tests.support.broker import wait_for
+from tests.support.browser import PHONE, browser
+from tests.support.daemon_process import DaemonProcess
+from tests.support.page_process import PageProcess, page_of
+from tests.support.virtual_board import VirtualBoard
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow

@@ -7,8 +7,10 @@ import pytest
 from history_records import START_UTC, store, tick
 from selenium.webdriver.remote.webdriver import WebDriver
 
-from bench.support.browser import PHONE, browser
-from bench.support.browser_memory import (
+from edge.core.messages import Event, Forecast, Severity, TickRecord
+from edge.page.access import DAY_S, Role
+from tests.support.browser import PHONE, browser
+from tests.support.browser_memory import (
     BrowserMemory,
     browser_memory,
     count_pushes,
@@ -16,9 +18,7 @@ from bench.support.browser_memory import (
     pushes,
     wait_for_courses,
 )
-from bench.support.quick_daemon import QuickDaemon, quick_rig
-from edge.core.messages import Event, Forecast, Severity, TickRecord
-from edge.page.access import DAY_S, Role
+from tests.support.quick_daemon import QuickDaemon, quick_rig
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

@@ -13,8 +13,6 @@ from pathlib import Path
 import pytest
 from history_records import START_UTC, eventful_tick, store, tick
 
-from bench.support.broker import wait_for
-from bench.support.page_process import PageProcess, page_of
 from edge.__main__ import main
 from edge.commands.arguments import moment
 from edge.core.errors import DataError
@@ -24,6 +22,8 @@ from edge.page import export, history
 from edge.page.access import DAY_S, Role
 from edge.storage import run_rows
 from edge.storage.runs import import_run
+from tests.support.broker import wait_for
+from tests.support.page_process import PageProcess, page_of
 
 pytestmark = pytest.mark.slow
 YEAR_TICKS = 525_600

@@ -13,7 +13,9 @@ import pytest
 from history_records import HandClock, History, eventful_tick
 
 from bench.default_daemon import memory_of
-from bench.support.hostile_requests import (
+from edge.page.access import DAY_S, Role
+from edge.storage import Session, Storage
+from tests.support.hostile_requests import (
     KINDS,
     ORDER,
     SCRIPT,
@@ -22,9 +24,7 @@ from bench.support.hostile_requests import (
     hostile_requests,
     send_all,
 )
-from bench.support.page_process import Client, PageProcess, page_of
-from edge.page.access import DAY_S, Role
-from edge.storage import Session, Storage
+from tests.support.page_process import Client, PageProcess, page_of
 
 pytestmark = pytest.mark.slow
 

@@ -9,12 +9,12 @@ import pytest
 from selenium.webdriver.common.by import By
 from test_browser import complaints, enter, serious_findings, tap
 
-from bench.support.broker import wait_for
-from bench.support.browser import PHONE, browser
-from bench.support.daemon_process import DaemonProcess
-from bench.support.page_process import PageProcess, page_of
-from bench.support.virtual_board import VirtualBoard
 from edge.page.access import Role
+from tests.support.broker import wait_for
+from tests.support.browser import PHONE, browser
+from tests.support.daemon_process import DaemonProcess
+from tests.support.page_process import PageProcess, page_of
+from tests.support.virtual_board import VirtualBoard
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow

@@ -10,17 +10,17 @@ import pytest
 from bundles import Workshop
 from test_browser import complaints, enter, tap, text
 
-from bench.support.broker import wait_for
-from bench.support.browser import PHONE, browser
-from bench.support.daemon_process import DaemonProcess
-from bench.support.page_process import Client, PageProcess, page_of
-from bench.support.simulated_runs import BOX, simulate, twin_file
-from bench.support.virtual_board import virtual_board
 from edge.__main__ import main
 from edge.app.nightly_diagnosis import ADOPT_MAX_S
 from edge.formats.run_file import absence_facts, write_run
 from edge.page.access import Role
 from edge.twin.twin_file import write_twin_file
+from tests.support.broker import wait_for
+from tests.support.browser import PHONE, browser
+from tests.support.daemon_process import DaemonProcess
+from tests.support.page_process import Client, PageProcess, page_of
+from tests.support.simulated_runs import BOX, simulate, twin_file
+from tests.support.virtual_board import virtual_board
 
 pytestmark = pytest.mark.slow
 TICK_MAX_S = 90.0  # a step of 60 s: the packaged models are made for it

@@ -9,12 +9,12 @@ from typing import Any
 import jsonschema
 import pytest
 
-from bench.support.page_process import page_of
 from edge.core.errors import RequestError
 from edge.page.app import API, STATIC
 from edge.page.openapi import BODIES, DOCUMENTS, PARAMETERS, openapi
 from edge.page.orders import NEEDS
 from edge.tick.orders import ORDERS, Desk, Operation, operate
+from tests.support.page_process import page_of
 
 FILE = STATIC / "openapi.json"
 DESK = Desk(0.0, ("MPC",), 15.0, 38.0)

@@ -11,15 +11,15 @@ import pytest
 from diagnosis_examples import STORIES
 from selenium.webdriver.common.by import By
 
-from bench.support.broker import wait_for
-from bench.support.browser import browser
-from bench.support.page_process import Client, PageProcess, open_page, page_of
 from edge.core.errors import DataError
 from edge.diagnosis.diagnosis_file import write_json
 from edge.diagnosis.report.page import write_report
 from edge.page import reports
 from edge.page.access import Role
 from edge.twin.twin_file import TwinFile, write_twin_file
+from tests.support.broker import wait_for
+from tests.support.browser import browser
+from tests.support.page_process import Client, PageProcess, open_page, page_of
 
 pytestmark = pytest.mark.slow
 EVIL = "<script>document.title='owned'</script>"

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from bench.support.broker import free_port
 from edge.config import loading as config
 from edge.page import server
+from tests.support.broker import free_port
 
 
 @pytest.mark.parametrize("opened", [False, True])

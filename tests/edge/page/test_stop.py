@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.broker import wait_for
-from bench.support.daemon_process import DaemonProcess
-from bench.support.page_process import Client, page_of
-from bench.support.virtual_board import VirtualBoard
 from edge.core.hard_limits import LEASE_S
 from edge.page.access import Role
+from tests.support.broker import wait_for
+from tests.support.daemon_process import DaemonProcess
+from tests.support.page_process import Client, page_of
+from tests.support.virtual_board import VirtualBoard
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

@@ -17,12 +17,12 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from bench.default_daemon import memory_of
-from bench.support.broker import free_port, wait_for
-from bench.support.daemon_process import ROOT
-from bench.support.page_process import Client, PageProcess, cookie_of, listens, page_of
 from edge.core.processes import end_process
 from edge.page.access import Role
 from edge.page.protocol import CONNECTIONS_MAX, OTHER_FILES
+from tests.support.broker import free_port, wait_for
+from tests.support.daemon_process import ROOT
+from tests.support.page_process import Client, PageProcess, cookie_of, listens, page_of
 
 pytestmark = pytest.mark.slow
 

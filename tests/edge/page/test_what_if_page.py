@@ -14,14 +14,14 @@ import pytest
 from axe_core_python.selenium import Axe
 from selenium.webdriver.common.by import By
 
-from bench.support.broker import wait_for
-from bench.support.browser import PHONE, browser
-from bench.support.page_process import Client, PageProcess, open_page, page_of
 from edge.core.errors import RequestError
 from edge.page import questions
 from edge.page.access import Role
 from edge.page.answers import Json, NotAllowed
 from edge.page.questions import BURST, KEEP_MAX, TwinQuestions, options, run_command
+from tests.support.broker import wait_for
+from tests.support.browser import PHONE, browser
+from tests.support.page_process import Client, PageProcess, open_page, page_of
 
 CARD = 'section[aria-label="What if"]'
 ASKED = "/api/what-if?reach_c=35&room_c=20&hold_c=28"

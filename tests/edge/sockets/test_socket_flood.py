@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.daemon_process import DaemonProcess
-from bench.support.virtual_board import VirtualBoard
+from tests.support.daemon_process import DaemonProcess
+from tests.support.virtual_board import VirtualBoard
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]

@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-from bench.support.daemon_process import DaemonProcess
-from bench.support.virtual_board import virtual_board
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.messages import Command
@@ -22,6 +20,8 @@ from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, restore
 from edge.tick.orders import Mode, Operation, apply_orders
 from edge.tick.orders_json import to_dict
 from edge.tick.steering import DailyTarget, FanRest, Steering
+from tests.support.daemon_process import DaemonProcess
+from tests.support.virtual_board import virtual_board
 
 pytestmark = pytest.mark.slow
 

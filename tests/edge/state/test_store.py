@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.support.daemon_process import DaemonProcess
-from bench.support.virtual_board import virtual_board
 from edge.config.loading import default
 from edge.config.settings import BundleSettings, HistorySettings, Settings
 from edge.core.messages import Command
@@ -15,6 +13,8 @@ from edge.formats.atomic_file import read_document, write_document
 from edge.safety.memory import Dose
 from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, STORED, SURVIVORS, StoredValue, restore
 from edge.tick.orders import FanMode, Mode
+from tests.support.daemon_process import DaemonProcess
+from tests.support.virtual_board import virtual_board
 
 WRITTEN = Path(__file__).parent / "written_by_8465879"  # as that commit saved them
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, Effects, Floats
 from edge.core.errors import DataError
 from edge.twin.effects.library import EFFECTS, UNNAMED_EFFECTS
 from edge.twin.linearise import EnsembleRun, linearise, responses
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import at_rest
+from tests.support.simulated_runs import BOX, Effects, Floats
 
 ROWS, RUNS = 90, 2
 DAY0_UTC = 1e9

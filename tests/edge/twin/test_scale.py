@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, as_diagnosis_runs, change_run, silent, simulate, twin_file
 from edge.core.errors import DataError
 from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.runs import read_runs
@@ -16,6 +15,7 @@ from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest
+from tests.support.simulated_runs import BOX, as_diagnosis_runs, change_run, silent, simulate, twin_file
 
 pytestmark = pytest.mark.slow
 

@@ -11,14 +11,14 @@ import pytest
 from sqlalchemy import Engine, update
 from sqlalchemy.orm import Session
 
-from bench.support.broker import wait_for
-from bench.support.daemon_process import ROOT
-from bench.support.postgres import Postgres, needs_postgres
 from edge.core.processes import die_with_parent
 from fleet.database.base import open_database
 from fleet.database.lease import FleetLease, LeaseLost
 from fleet.database.leases import WorkLease
 from fleet.settings import DatabaseSettings
+from tests.support.broker import wait_for
+from tests.support.daemon_process import ROOT
+from tests.support.postgres import Postgres, needs_postgres
 
 HOLDER = """
 import sys, threading

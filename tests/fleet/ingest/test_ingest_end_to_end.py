@@ -10,11 +10,6 @@ from fleet_store import BROKER, numbers_of, wait_until_all_is_stored
 from sqlalchemy import Engine, select, update
 from sqlalchemy.orm import Session
 
-from bench.support.broker import PATIENCE_S, Broker, free_port, needs_mosquitto, wait_for
-from bench.support.fleet_rig import RigWithoutBoard
-from bench.support.ingest_process import IngestProcess
-from bench.support.mqtt_rig import settings
-from bench.support.victoria import Victoria, needs_victoria
 from edge.core.messages import Event, Severity
 from edge.mqtt.telemetry import remove as remove_retained
 from edge.twin.twin_file import TwinFile, twin_of, write_twin_file
@@ -27,6 +22,11 @@ from fleet.database.twins import ToldTwin
 from fleet.machine.rig_register import erase_rig
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, NumbersSettings
+from tests.support.broker import PATIENCE_S, Broker, free_port, needs_mosquitto, wait_for
+from tests.support.fleet_rig import RigWithoutBoard
+from tests.support.ingest_process import IngestProcess
+from tests.support.mqtt_rig import settings
+from tests.support.victoria import Victoria, needs_victoria
 
 DAY_TICKS = 1440
 pytestmark = [needs_mosquitto, needs_victoria, pytest.mark.slow]

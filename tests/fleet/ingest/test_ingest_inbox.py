@@ -10,11 +10,11 @@ import pytest
 from certificates import make_certificates
 from fleet_store import BROKER
 
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from edge.config.settings import MqttSettings
 from edge.core.errors import ConfigError
 from fleet.ingest.inbox import WINDOWS_MAX, FleetInbox, Message
 from fleet.ingest.tick import PAYLOAD_MAX
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
 
 pytestmark = [needs_mosquitto, pytest.mark.slow]
 TICK = "greenhouse/rig-1/history/tick"

@@ -11,14 +11,14 @@ import pytest
 from fleet_store import BROKER, wait_until_all_is_stored, what_is_wrong
 from sqlalchemy import Engine
 
-from bench.support.broker import Broker, needs_mosquitto, wait_for
-from bench.support.fleet_rig import RigWithoutBoard, every
-from bench.support.ingest_process import IngestProcess
-from bench.support.postgres import Postgres, needs_postgres
-from bench.support.victoria import Victoria, needs_victoria
 from fleet.database.base import open_database
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, NumbersSettings
+from tests.support.broker import Broker, needs_mosquitto, wait_for
+from tests.support.fleet_rig import RigWithoutBoard, every
+from tests.support.ingest_process import IngestProcess
+from tests.support.postgres import Postgres, needs_postgres
+from tests.support.victoria import Victoria, needs_victoria
 
 pytestmark = [needs_mosquitto, needs_victoria, needs_postgres, pytest.mark.slow, pytest.mark.timeout(300)]
 PARTS = ("ingest", "broker", "victoria", "postgres")

@@ -13,16 +13,16 @@ from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
 from bench.default_daemon import memory_of
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.fleet_rig import RigWithoutBoard
-from bench.support.ingest_process import IngestProcess
-from bench.support.victoria import Victoria, needs_victoria
 from edge.formats.tick_json import tick_json
 from fleet.database.base import open_database
 from fleet.database.events import Refusal
 from fleet.database.rigs import FleetRig
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, NumbersSettings
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.support.fleet_rig import RigWithoutBoard
+from tests.support.ingest_process import IngestProcess
+from tests.support.victoria import Victoria, needs_victoria
 
 pytestmark = [needs_mosquitto, needs_victoria, pytest.mark.slow]
 LIAR = "greenhouse/liar/history/tick"

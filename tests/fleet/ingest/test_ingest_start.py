@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.broker import PATIENCE_S, free_port
-from bench.support.ingest_process import IngestProcess
-from bench.support.postgres import Postgres, needs_postgres
+from tests.support.broker import PATIENCE_S, free_port
+from tests.support.ingest_process import IngestProcess
+from tests.support.postgres import Postgres, needs_postgres
 
 
 def ends_with(folder: Path, url: str) -> str:

@@ -9,8 +9,6 @@ from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 from stored_ticks import START, store
 
-from bench.support.simulated_runs import BOX, simulate, twin_file
-from bench.support.victoria import Victoria, needs_victoria
 from edge.twin.twin_file import twin_document
 from fleet.database.base import open_database
 from fleet.database.diagnoses import RigDiagnosis
@@ -22,6 +20,8 @@ from fleet.jobs.diagnosis_job import begun_disagreements, diagnose_changed
 from fleet.jobs.rig_run import rig_run
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, FleetSettings, NumbersSettings
+from tests.support.simulated_runs import BOX, simulate, twin_file
+from tests.support.victoria import Victoria, needs_victoria
 
 HIDDEN = {"heater_lag": {"tau_h": 400.0}}
 

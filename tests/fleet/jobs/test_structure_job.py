@@ -8,8 +8,6 @@ from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 from stored_ticks import START, store
 
-from bench.support.simulated_runs import BOX, Effects, simulate, twin_file
-from bench.support.victoria import Victoria, needs_victoria
 from edge.twin.twin_file import twin_document
 from fleet.database.base import open_database
 from fleet.database.events import RigEvent
@@ -23,6 +21,8 @@ from fleet.jobs.told_sheets import told_sheets
 from fleet.numbers.victoria import Numbers
 from fleet.priors.kind_structure import CONVECTION
 from fleet.settings import DatabaseSettings, NumbersSettings
+from tests.support.simulated_runs import BOX, Effects, simulate, twin_file
+from tests.support.victoria import Victoria, needs_victoria
 
 LAG = {"heater_lag": {"tau_h": 400.0}}
 SOIL = {"soil_mass": {"C_s": 9000.0, "G_s": 3.0}}

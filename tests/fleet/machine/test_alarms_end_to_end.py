@@ -13,8 +13,6 @@ import pytest
 import requests
 from fleet_pages import TOKEN, FleetPageOfTest, fleet_page
 
-from bench.support.broker import free_port, wait_for
-from bench.support.page_process import Client, listens
 from edge.core.errors import RequestError
 from edge.core.processes import die_with_parent, end_process
 from fleet.machine.alarm_rules import EVERY, alarm_rules
@@ -22,6 +20,8 @@ from fleet.machine.engines import Engine, engines
 from fleet.machine.places import FleetMachine, Ports, places_of
 from fleet.page.alarm_shelf import WATCHDOG
 from fleet.settings import AlarmRuleSettings, NumbersSettings
+from tests.support.broker import free_port, wait_for
+from tests.support.page_process import Client, listens
 
 STORED_S = 80.0
 

@@ -14,8 +14,6 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from bench.support.broker import PATIENCE_S, Listener, needs_mosquitto, wait_for
-from bench.support.victoria import Victoria, needs_victoria
 from edge.config import loading
 from edge.core.errors import DataError, RequestError
 from fleet.database.base import open_database
@@ -27,6 +25,8 @@ from fleet.machine.setting_up import set_up
 from fleet.numbers.series import head, lines
 from fleet.numbers.victoria import Numbers
 from fleet.settings import FleetSettings, load
+from tests.support.broker import PATIENCE_S, Listener, needs_mosquitto, wait_for
+from tests.support.victoria import Victoria, needs_victoria
 
 pytestmark = needs_mosquitto
 OWN = ("state", "availability", "drift", "reply", "event", "history/tick")

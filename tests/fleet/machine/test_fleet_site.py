@@ -9,7 +9,6 @@ from fleet_broker import FleetBroker, answer, connected, context, fleets_context
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from bench.support.broker import Listener, needs_mosquitto, wait_for
 from edge.__main__ import main
 from edge.config import loading
 from edge.core.errors import RequestError
@@ -22,6 +21,7 @@ from fleet.machine.rig_register import add_rig, remove_rig
 from fleet.machine.setting_up import set_up
 from fleet.machine.site_register import add_to_site, read_sites, remove_site
 from fleet.settings import load
+from tests.support.broker import Listener, needs_mosquitto, wait_for
 
 REFUSED = "Not authorized"
 OWN = ("state", "availability", "reply", "event", "history/tick")

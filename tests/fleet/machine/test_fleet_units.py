@@ -14,14 +14,14 @@ from pathlib import Path
 import pytest
 from unit_calls import call_groups, resolved
 
-from bench.support.broker import wait_for
-from bench.support.daemon_process import ROOT
-from bench.support.page_process import listens
 from edge.core.errors import RequestError
 from fleet.machine import service, units
 from fleet.machine.engines import PACKAGES, engines
 from fleet.machine.places import FOLDER, USER, FleetMachine, places_of
 from fleet.machine.setting_up import set_up
+from tests.support.broker import wait_for
+from tests.support.daemon_process import ROOT
+from tests.support.page_process import listens
 
 EXPOSURE_MAX = 2.5
 HERE = ROOT / "deploy" / "fleet"

@@ -15,10 +15,6 @@ from fleet_store import wait_until_all_is_stored
 from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 
-from bench.support.broker import PATIENCE_S, Broker, Listener, needs_mosquitto, wait_for
-from bench.support.fleet_rig import RigWithoutBoard
-from bench.support.ingest_process import IngestProcess
-from bench.support.victoria import Victoria, needs_victoria
 from fleet.database.base import open_database
 from fleet.database.rigs import FleetRig
 from fleet.machine.engine_files import MESSAGE_MAX
@@ -26,6 +22,10 @@ from fleet.machine.site_papers import SITE_HOME
 from fleet.machine.site_register import add_to_site
 from fleet.numbers.victoria import Numbers
 from fleet.settings import load
+from tests.support.broker import PATIENCE_S, Broker, Listener, needs_mosquitto, wait_for
+from tests.support.fleet_rig import RigWithoutBoard
+from tests.support.ingest_process import IngestProcess
+from tests.support.victoria import Victoria, needs_victoria
 
 pytestmark = [needs_mosquitto, needs_victoria, pytest.mark.slow]
 pytest_plugins = ["rig_places"]

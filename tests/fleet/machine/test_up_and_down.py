@@ -7,9 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.broker import wait_for
-from bench.support.daemon_process import ROOT
-from bench.support.page_process import Client, listens
 from edge.core.errors import RequestError
 from edge.core.processes import die_with_parent
 from edge.page.access import Role
@@ -19,6 +16,9 @@ from fleet.machine.places import FleetMachine, places_of
 from fleet.machine.setting_up import set_up
 from fleet.page.people import EVERY, People
 from fleet.settings import load
+from tests.support.broker import wait_for
+from tests.support.daemon_process import ROOT
+from tests.support.page_process import Client, listens
 
 FLEET = [sys.executable, "-m", "edge", "fleet"]
 UP_S = 90.0

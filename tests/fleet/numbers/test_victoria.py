@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.support.broker import free_port, wait_for
-from bench.support.victoria import Victoria, needs_victoria
 from fleet.numbers.series import head, lines, selector
 from fleet.numbers.victoria import Numbers, NumbersError
 from fleet.settings import NumbersSettings
+from tests.support.broker import free_port, wait_for
+from tests.support.victoria import Victoria, needs_victoria
 
 SAMPLES = ((head("temp_air_c"), 21.5), (head("forecast_temp_c", predictor="arx", horizon_min=5), 22.25))
 

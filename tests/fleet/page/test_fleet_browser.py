@@ -11,12 +11,12 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from sqlalchemy.orm import Session
 
-from bench.support.broker import free_port, wait_for
-from bench.support.browser import DESK, PHONE, browser
 from edge.page.access import Role
 from fleet.database.base import open_database
 from fleet.database.twins import ToldTwin
 from fleet.settings import NumbersSettings
+from tests.support.broker import free_port, wait_for
+from tests.support.browser import DESK, PHONE, browser
 
 pytestmark = pytest.mark.slow
 EVIL = '<img src=x onerror="document.title=1">'

@@ -9,15 +9,15 @@ from fleet_pages import FleetPageOfTest, fleet_page
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, settings
-from bench.support.page_process import Client
 from edge.config.settings import MqttSettings
 from edge.mqtt.telemetry import Telemetry
 from edge.page.access import Role
 from fleet.database.alarms import FleetOrder
 from fleet.database.base import open_database
 from fleet.page import order_desk
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.support.mqtt_rig import ControlLoop, MemoryOutbox, settings
+from tests.support.page_process import Client
 
 pytestmark = needs_mosquitto
 

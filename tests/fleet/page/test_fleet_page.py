@@ -10,8 +10,6 @@ from bundles import Workshop
 from fleet_pages import PASSWORD, STATE, TOKEN, FleetPageOfTest, fleet_page
 from sqlalchemy.orm import Session
 
-from bench.support.broker import free_port
-from bench.support.page_process import Client, cookie_of
 from edge.bundle.remote import fetch
 from edge.page.access import Role
 from edge.page.password_tries import TRIES
@@ -19,6 +17,8 @@ from fleet.database.base import open_database
 from fleet.database.twins import Departure, ToldTwin
 from fleet.rollout.archives import add_archive, archive_url
 from fleet.settings import NumbersSettings
+from tests.support.broker import free_port
+from tests.support.page_process import Client, cookie_of
 
 EVIL = '<img src=x onerror="alert(1)">'
 

@@ -9,12 +9,12 @@ import pytest
 from fleet_pages import TOKEN, FleetPageOfTest, fleet_page
 from sqlalchemy.orm import Session
 
-from bench.support.broker import wait_for
-from bench.support.held_rollout import add_held_rollout
-from bench.support.postgres import Postgres, needs_postgres
 from edge.page.access import Role
 from fleet.database.base import open_database
 from fleet.settings import DatabaseSettings
+from tests.support.broker import wait_for
+from tests.support.held_rollout import add_held_rollout
+from tests.support.postgres import Postgres, needs_postgres
 
 pytestmark = needs_postgres
 

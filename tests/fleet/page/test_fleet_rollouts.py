@@ -11,13 +11,13 @@ from fleet_pages import FleetPageOfTest, fleet_page
 from requests import Response
 from sqlalchemy.orm import Session
 
-from bench.support.held_rollout import SAFE, UNSURE, add_held_rollout
-from bench.support.page_process import Client
 from edge.page.access import Role
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout, RolloutRig, RolloutWave
 from fleet.page.rollout_routes import SHOWN_MAX
 from fleet.rollout.overview import COMPLAINTS_MAX
+from tests.support.held_rollout import SAFE, UNSURE, add_held_rollout
+from tests.support.page_process import Client
 
 NONE_HERE = "there is no such rollout in your groups"
 EVIL = '<img src=x onerror="alert(1)">'

@@ -12,12 +12,12 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
 from sqlalchemy.orm import Session
 
-from bench.support.broker import wait_for
-from bench.support.browser import DESK, PHONE, browser
-from bench.support.held_rollout import add_held_rollout
 from edge.page.access import Role
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout, RolloutRig, RolloutWave
+from tests.support.broker import wait_for
+from tests.support.browser import DESK, PHONE, browser
+from tests.support.held_rollout import add_held_rollout
 
 pytestmark = pytest.mark.slow
 EVIL = '<img src=x onerror="document.title=1">'

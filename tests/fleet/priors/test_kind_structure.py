@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, simulate, twin_file
 from edge.diagnosis.history_runs import history_runs
 from edge.diagnosis.runs import DiagnosisRuns
 from edge.diagnosis.unknowns import settle, with_usual
@@ -26,6 +25,7 @@ from fleet.priors.kind_structure import (
     structures,
 )
 from fleet.priors.rehearsal import Rehearsal
+from tests.support.simulated_runs import BOX, simulate, twin_file
 
 LAG, SOIL, BOTH = ("heater_lag",), ("soil_mass",), ("soil_mass", "heater_lag")
 SLOW = ("soil_mass", "slow_mass", "heater_lag")

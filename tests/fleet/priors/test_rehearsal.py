@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.support.simulated_runs import BOX, Effects, simulate, twin_file
 from edge.core.errors import DataError
 from edge.diagnosis.runs import FROM_S
 from edge.formats.run_file import RecordedRun
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from fleet.priors.rehearsal import an_hour, rehearse
+from tests.support.simulated_runs import BOX, Effects, simulate, twin_file
 
 
 def heated(minutes: int, *hot: tuple[int, int], step_s: float = 60.0) -> RecordedRun:

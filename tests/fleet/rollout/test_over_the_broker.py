@@ -17,8 +17,6 @@ from bundles import Workshop, make_store
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
-from bench.support.broker import Broker, Listener, needs_mosquitto, wait_for
-from bench.support.mqtt_rig import ControlLoop, MemoryOutbox, record, settings
 from edge.bundle import remote
 from edge.bundle.keeper import BundleKeeper
 from edge.bundle.remote import BundleSource
@@ -35,6 +33,8 @@ from fleet.rollout.begin import begin, stop_by_person
 from fleet.rollout.rig_line import MqttRigLine
 from fleet.rollout.runner import RolloutRunner
 from fleet.settings import DatabaseSettings, RolloutSettings
+from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
+from tests.support.mqtt_rig import ControlLoop, MemoryOutbox, record, settings
 
 pytestmark = needs_mosquitto
 pytest_plugins = ["rig_places"]

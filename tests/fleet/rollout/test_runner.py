@@ -9,7 +9,6 @@ from fleet_in_memory import SETTINGS, SHA256, FleetInMemory
 from sqlalchemy import create_engine
 from sqlalchemy.orm import Session
 
-from bench.support.postgres import Postgres, needs_postgres
 from edge.core.errors import DataError, RequestError
 from fleet.database.base import FleetTable
 from fleet.database.bundles import RolloutWave
@@ -20,6 +19,7 @@ from fleet.rollout.judge import HOUR_S, HourCost
 from fleet.rollout.runner import RolloutRunner
 from fleet.rollout.states import News
 from fleet.settings import DatabaseSettings
+from tests.support.postgres import Postgres, needs_postgres
 
 
 @pytest.fixture(scope="module")

@@ -16,12 +16,12 @@ import pytest
 import torch
 from gymnasium import Env
 
-from bench.support.broker import wait_for
-from bench.support.daemon_process import ROOT
 from edge.core.errors import DataError, RequestError
 from edge.models.policy_actions import ACTIONS, LEVELS
 from edge.models.policy_observation import FEATURES
 from edge.sockets.external_proposals import ExternalProposals
+from tests.support.broker import wait_for
+from tests.support.daemon_process import ROOT
 from training.rl import checkpoint
 from training.rl.online import (
     CHECKPOINT_FILE,

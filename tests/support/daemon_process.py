@@ -11,12 +11,12 @@ from typing import Any, Self
 import numpy as np
 import yaml
 
-from bench.support.broker import wait_for
 from edge.core.errors import RequestError
 from edge.core.processes import die_with_parent
 from edge.models.arx import Arx
 from edge.models.arx_file import write_arx
 from edge.sockets.client import request
+from tests.support.broker import wait_for
 
 ROOT = Path(__file__).parents[2]
 RIG = "greenhouse/rig-1"  # first part of every topic

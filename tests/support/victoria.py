@@ -10,8 +10,8 @@ from typing import Self
 
 import pytest
 
-from bench.support.broker import PATIENCE_S, free_port, wait_for
 from edge.core.processes import die_with_parent
+from tests.support.broker import PATIENCE_S, free_port, wait_for
 
 VICTORIA = shutil.which("victoria-metrics")
 needs_victoria = pytest.mark.skipif(VICTORIA is None, reason="victoria-metrics is not installed")

@@ -7,9 +7,9 @@ from typing import Any, Self
 
 import yaml
 
-from bench.support.broker import PATIENCE_S
-from bench.support.daemon_process import ROOT
 from edge.core.processes import die_with_parent
+from tests.support.broker import PATIENCE_S
+from tests.support.daemon_process import ROOT
 
 
 class IngestProcess:

@@ -3,11 +3,11 @@
 import sys
 import time
 
-from bench.support.mqtt_rig import ROOT, ControlLoop, record, settings
 from edge.config.settings import HistorySettings
 from edge.core.clock import RealClock
 from edge.mqtt.telemetry import Telemetry
 from edge.storage import Outbox, Storage
+from tests.support.mqtt_rig import ROOT, ControlLoop, record, settings
 
 port, database = int(sys.argv[1]), sys.argv[2]
 storage = Storage(HistorySettings(path=database), RealClock())

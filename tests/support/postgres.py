@@ -12,8 +12,8 @@ from typing import Any, Self
 import psycopg
 import pytest
 
-from bench.support.broker import PATIENCE_S, free_port, wait_for
 from edge.core.processes import die_with_parent
+from tests.support.broker import PATIENCE_S, free_port, wait_for
 
 BINARIES = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
 needs_postgres = pytest.mark.skipif(not BINARIES, reason="postgresql is not installed")

@@ -14,11 +14,11 @@ import yaml
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webdriver import WebDriver
 
-from bench.support.broker import free_port, wait_for
-from bench.support.daemon_process import ROOT, configuration
 from edge.core.processes import die_with_parent
 from edge.page.access import DAY_S, Access, Role
 from edge.page.cookie import COOKIE
+from tests.support.broker import free_port, wait_for
+from tests.support.daemon_process import ROOT, configuration
 
 END_S = 15.0
 

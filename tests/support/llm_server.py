@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from bench.support.broker import free_port
+from tests.support.broker import free_port
 
 TRANSFORMERS = "transformers[serving]"
 START_S = 300.0

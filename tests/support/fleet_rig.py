@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
-from bench.support.mqtt_rig import ControlLoop, record, settings
 from edge.config.settings import HistorySettings
 from edge.core.clock import RealClock
 from edge.core.messages import Event
@@ -13,6 +12,7 @@ from edge.mqtt.telemetry import Telemetry
 from edge.mqtt.topics import Topics
 from edge.storage import Outbox, Storage
 from edge.tick.orders import Operation
+from tests.support.mqtt_rig import ControlLoop, record, settings
 
 
 class RigWithoutBoard:

@@ -14,8 +14,6 @@ from socketserver import StreamRequestHandler, ThreadingUnixStreamServer
 from typing import Any
 
 from bench.history_year import move
-from bench.support.broker import free_port
-from bench.support.page_process import PageProcess
 from edge.core.messages import TickRecord
 from edge.formats.reader import parse_json
 from edge.sockets.client import encode_line
@@ -23,6 +21,8 @@ from edge.storage.file import connect
 from edge.storage.tick_rows import insert_ticks
 from edge.tick.orders import Operation
 from edge.tick.status import LoopStatus, status_json
+from tests.support.broker import free_port
+from tests.support.page_process import PageProcess
 
 LINES = tuple(
     f"{number}. MPC-P wanted heater 0.35, fan off. Its plan costs 0.42: tracking 0.3." for number in range(12)
