@@ -1,4 +1,7 @@
-"""Who may import whom: one list of layers that keeps the house standing, lazy imports included."""
+"""Who may import whom: one list of layers that keeps the house standing, lazy imports included. And its size.
+
+`python -m tests.test_imports` prints the table of lines and modules as it is now.
+"""
 
 import ast
 import subprocess
@@ -88,6 +91,76 @@ PURE = (
     "lab/environment.py",
 )
 WORLD = ("serial", "socket", "sqlite3", "sqlite_utils", "paho", "requests", "time", "threading", "subprocess")
+FOLDERS = ("bench", "docs", "edge", "examples", "firmware_protocol", "fleet", "tests", "tools", "training")
+SIZES = {  # room: lines and modules of Python. At 02ed168c there were 181 662 lines in 1 263 modules.
+    "bench": (6_772, 41),
+    "bench/attack": (2_049, 12),
+    "bench/boxes": (3_501, 23),
+    "bench/fleet_rollout": (692, 5),
+    "bench/foreign": (1_048, 6),
+    "bench/hidden_effects": (4_342, 21),
+    "bench/real_truth": (468, 3),
+    "bench/wishes": (350, 3),
+    "edge": (189, 2),
+    "edge/app": (4_505, 24),
+    "edge/assistant": (3_598, 25),
+    "edge/board": (1_915, 13),
+    "edge/bundle": (2_009, 15),
+    "edge/commands": (4_262, 37),
+    "edge/config": (899, 6),
+    "edge/controllers": (2_922, 22),
+    "edge/core": (973, 15),
+    "edge/data_intake": (954, 7),
+    "edge/diagnosis": (11_832, 67),
+    "edge/drift": (682, 7),
+    "edge/evidence": (1_598, 12),
+    "edge/forecasts": (597, 5),
+    "edge/formats": (1_668, 12),
+    "edge/lab": (807, 8),
+    "edge/models": (1_355, 13),
+    "edge/mqtt": (1_628, 9),
+    "edge/page": (4_004, 43),
+    "edge/safety": (1_059, 7),
+    "edge/sockets": (655, 6),
+    "edge/state": (507, 4),
+    "edge/storage": (2_298, 14),
+    "edge/tick": (3_303, 18),
+    "edge/twin": (3_995, 30),
+    "firmware_protocol": (2_179, 13),
+    "firmware_protocol/virtual_board": (3_902, 26),
+    "fleet": (181, 3),
+    "fleet/commands": (615, 14),
+    "fleet/database": (655, 13),
+    "fleet/ingest": (1_463, 13),
+    "fleet/jobs": (565, 8),
+    "fleet/machine": (1_555, 16),
+    "fleet/numbers": (230, 4),
+    "fleet/page": (1_199, 13),
+    "fleet/priors": (906, 7),
+    "fleet/rollout": (1_208, 12),
+    "tests": (1_129, 12),
+    "tests/bench": (3_176, 32),
+    "tests/conformance": (2_310, 18),
+    "tests/deploy": (1_845, 13),
+    "tests/edge": (43_483, 231),
+    "tests/firmware_protocol": (7_459, 27),
+    "tests/fleet": (5_687, 44),
+    "tests/hardware_in_the_loop": (857, 11),
+    "tests/real_home_assistant": (746, 6),
+    "tests/support": (5_537, 54),
+    "tests/training": (4_631, 33),
+    "tools": (628, 4),
+    "training": (626, 3),
+    "training/control": (2_057, 12),
+    "training/data": (464, 5),
+    "training/evaluate": (2_341, 15),
+    "training/export": (984, 8),
+    "training/llm_stand_in": (592, 5),
+    "training/models": (1_911, 21),
+    "training/reports": (451, 4),
+    "training/rl": (2_771, 29),
+}
+SLACK = 0.02  # by how much a room may lie below its row before the row must be lowered
 HEAVY = ("scipy", "sqlite_utils", "matplotlib", "rich", "onnxruntime", "requests", "pandas", "cryptography")
 
 
@@ -229,3 +302,48 @@ def test_heavy_packages_are_not_in_a_daemon_that_runs() -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert out.stdout.strip() == "[]"
+
+
+def sizes() -> dict[str, tuple[int, int]]:
+    """Lines and modules of each room as they are."""
+    return {room: _size(sorted(files)) for room, files in _rooms().items()}
+
+
+def _size(files: list[Path]) -> tuple[int, int]:
+    return sum(len(path.read_text().splitlines()) for path in files), len(files)
+
+
+def _rooms() -> dict[str, list[Path]]:
+    rooms: dict[str, list[Path]] = {}
+    for path in _modules():
+        parts = path.relative_to(ROOT).parts
+        rooms.setdefault("/".join(parts[:2] if len(parts) > 2 else parts[:1]), []).append(path)
+    return rooms
+
+
+def _modules() -> list[Path]:
+    return [path for folder in FOLDERS for path in sources(folder)]
+
+
+def test_no_room_grows_beyond_its_row() -> None:
+    """A commit that needs more raises the row and gives the reason."""
+    now = {room: (*size, *SIZES.get(room, (0, 0))) for room, size in sizes().items()}
+    assert {room: size for room, size in now.items() if size[0] > size[2] or size[1] > size[3]} == {}
+
+
+def test_a_room_that_shrank_has_a_lower_row() -> None:
+    now = sizes()
+    loose = [
+        room
+        for room, (lines, _) in SIZES.items()
+        if now.get(room, (0, 0))[0] < lines - max(50, SLACK * lines)
+    ]
+    assert loose == [], "`python -m tests.test_imports` prints the new rows"
+
+
+if __name__ == "__main__":
+    table = sizes()
+    for name, (lines, modules) in sorted(table.items()):
+        print(f'    "{name}": ({lines:_}, {modules}),')
+    total = [sum(size[k] for size in table.values()) for k in (0, 1)]
+    print(f"# {total[0]} lines in {total[1]} modules")
