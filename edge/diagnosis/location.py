@@ -25,7 +25,7 @@ FINENESS = 10  # frequencies between two of the coarse grid, to find the peak's 
 
 @dataclass(frozen=True, slots=True)
 class Whiteness:
-    """Tests of one run's innovations, or of several runs together; None where the rows are too few.
+    """Tests of one run's innovations; None where the rows are too few.
 
     rows : measured; lags : of the Ljung-Box test
     ljung_box_p : small where innovations go together in time
@@ -64,19 +64,6 @@ def whiteness(values: Floats, step_s: float, fitted: int = 0) -> Whiteness:
     period_s, false_alarm = _strongest(off, step_s)
     chance = _chance(statistic, lags - fitted)
     return Whiteness(rows, lags, statistic, chance, float(correlation[0]), period_s, false_alarm)
-
-
-def together(parts: Sequence[Whiteness]) -> Whiteness:
-    """Combine runs: sum the test statistics, average correlations by rows, take the least likely period."""
-    told = [part for part in parts if part.ljung_box_p is not None]
-    rows = sum(part.rows for part in told)
-    if not told:
-        return Whiteness(sum(part.rows for part in parts), 0, 0.0, None, None, None, None)
-    statistic, lags = sum(part.statistic for part in told), sum(part.lags for part in told)
-    mean = sum(part.rows * (part.lag1_autocorrelation or 0.0) for part in told) / rows
-    best = min(told, key=lambda part: 1.0 if part.false_alarm is None else part.false_alarm)
-    alarm = None if best.false_alarm is None else min(1.0, len(told) * best.false_alarm)
-    return Whiteness(rows, lags, statistic, _chance(statistic, lags), mean, best.strongest_period_s, alarm)
 
 
 def _correlations(off: Floats, seen: NDArray[np.bool_], lags: int) -> list[tuple[float, int]]:

@@ -77,15 +77,6 @@ def score(response: Floats, innovations: Floats) -> Floats:
     return np.asarray(np.einsum("nj,nj->n", response, later))
 
 
-def response_to(response: Floats, amounts: Floats) -> Floats:
-    """White innovations that these amounts in each step would cause; amounts : [N, p]. Returns : [N, p]"""
-    total = np.zeros_like(amounts)
-    for lag in range(response.shape[1]):
-        reach = len(amounts) - lag
-        total[lag:] += response[:reach, lag, None] * amounts[:reach]
-    return total
-
-
 LONGEST = 20  # rows that a door may be open
 
 
