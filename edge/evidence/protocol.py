@@ -8,8 +8,6 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 
-from edge.formats.table import Table
-
 DAYS = 30  # whole UTC days after the day of the start
 DAY_SHARE = 0.95  # of a day's ticks; a day with fewer counts as a day without data
 REPEATS = 3  # of each provoked fault
@@ -122,18 +120,3 @@ def protocol_sha256() -> str:
         "thresholds": [asdict(threshold) for threshold in THRESHOLDS],
     }
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()
-
-
-def threshold_table() -> Table:
-    """Return the criteria for the manual."""
-    rows = tuple((threshold.key, threshold.text, threshold.rule) for threshold in THRESHOLDS)
-    return Table("", ("key", "measured over the record", "success"), rows, words=True)
-
-
-def fault_table() -> Table:
-    """Return the provoked faults for the manual."""
-    rows = tuple(
-        (fault.name, fault.how, " or ".join(f"`{key}`" for key in fault.keys), f"{fault.within_min:g} min")
-        for fault in FAULTS
-    )
-    return Table("", ("mark", "what you do", "event that names it", "within"), rows, words=True)

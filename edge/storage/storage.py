@@ -109,11 +109,6 @@ class Storage:
         self._last_given = record.seq
         self._queue.put(record)
 
-    @property
-    def written_seq(self) -> int:
-        """Number of the last tick that is on disk; 0 before the first."""
-        return self._written_seq
-
     def faults(self) -> Mapping[str, str]:
         """Rows of the failure table that hold now, with their details; a replaced file is told once."""
         faults = {}

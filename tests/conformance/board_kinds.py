@@ -4,6 +4,8 @@ import struct
 import subprocess
 from pathlib import Path
 
+from block_slots import BlockSlots
+
 from firmware_protocol.board_block import BoardKind
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.c_core import (
@@ -15,7 +17,6 @@ from firmware_protocol.virtual_board.c_core import (
     store_of,
 )
 from firmware_protocol.virtual_board.core import BoardCore, Pins
-from firmware_protocol.virtual_board.store import BlockSlots
 
 STRICT = ("-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic")
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

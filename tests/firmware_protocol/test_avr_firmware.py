@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from avr.simulated_avr import FAN, FREQUENCY, HEATER, SUPPLY, VALVE, AvrRig, SimulatedAvr, transmitted
+from block_slots import BlockSlots
 
 import firmware_protocol
 from firmware_protocol.board_block import NO_PIN, BoardBlock, BoardKind, encode_block
@@ -44,7 +45,6 @@ from firmware_protocol.messages import (
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.c_core import SOURCES
 from firmware_protocol.virtual_board.core import BoardCore
-from firmware_protocol.virtual_board.store import BlockSlots
 
 pytestmark = pytest.mark.slow
 

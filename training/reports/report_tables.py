@@ -10,7 +10,7 @@ from edge.core.predictor import Floats
 from edge.formats.table import Table
 from training.evaluate.ablation import EXCESS_K, Base, ByExcess, UnexplainedError
 from training.evaluate.resources import ModelCost
-from training.evaluate.scores import SwappedModel, TrainingScore, maes, orders
+from training.evaluate.scores import SwappedModel, TrainingScore, orders
 from training.models.saved_training import OURS, PAPER, UNGUARDED
 from training.models.study import SCENARIOS, Regime
 
@@ -204,8 +204,3 @@ def _bases(rows: Sequence[Base]) -> Table:
         "training parts; free runs over the validation parts, no test run."
     )
     return Table("What the hybrid stands on: MAE [K]", ("base", "states", "alone", "corrected"), cells, note)
-
-
-def regime_means(scores: Sequence[TrainingScore], model: str, regime: Regime) -> Floats:
-    """Mean free-run MAE of the regime by seed [K]."""
-    return np.asarray(maes(scores, model, regime).mean(axis=1))

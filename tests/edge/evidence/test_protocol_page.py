@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from edge.evidence import protocol
-from edge.evidence.protocol import FAULTS, THRESHOLDS, fault_table, protocol_sha256, threshold_table
+from edge.evidence.protocol import FAULTS, THRESHOLDS, protocol_sha256
 from edge.formats.table import Table
 from edge.safety import thermal_supervision
 from edge.tick.faults import FAILURES
@@ -13,8 +13,25 @@ from edge.tick.faults import FAILURES
 PAGE = Path(__file__).parents[3] / "docs" / "hardware" / "protocol.md"
 
 
-@pytest.mark.parametrize(("name", "table"), [("faults", fault_table()), ("thresholds", threshold_table())])
-def test_the_page_has_the_tables_of_the_code(name: str, table: Table) -> None:
+CRITERIA = Table(
+    "",
+    ("key", "measured over the record", "success"),
+    tuple((threshold.key, threshold.text, threshold.rule) for threshold in THRESHOLDS),
+    words=True,
+)
+PROVOKED = Table(
+    "",
+    ("mark", "what you do", "event that names it", "within"),
+    tuple(
+        (fault.name, fault.how, " or ".join(f"`{key}`" for key in fault.keys), f"{fault.within_min:g} min")
+        for fault in FAULTS
+    ),
+    words=True,
+)
+
+
+@pytest.mark.parametrize(("name", "table"), [("faults", PROVOKED), ("thresholds", CRITERIA)])
+def test_the_page_has_the_numbers_of_the_code(name: str, table: Table) -> None:
     _, after = PAGE.read_text().split(f"<!-- {name} -->\n")
     assert after.split(f"<!-- /{name} -->")[0].splitlines() == list(table.markdown())
 

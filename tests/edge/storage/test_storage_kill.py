@@ -28,12 +28,13 @@ from edge.storage import Outbox, Storage
 
 storage = Storage(History.at(Path(sys.argv[1]), queue_ticks=50), HandClock())
 seq = storage.open()
+written = seq - 1
 print("first", seq, [event.key for event in storage.events_pending()], flush=True)
 while True:
     storage.write(tick(seq))
-    if seq % 7 == 0:
-        storage.wait_written(seq, 5)
-    print("given", seq, storage.written_seq, flush=True)
+    if storage.wait_written(seq, 5 if seq % 7 == 0 else 0):
+        written = seq
+    print("given", seq, written, flush=True)
     seq += 1
 """
 
