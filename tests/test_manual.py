@@ -3,7 +3,7 @@
 A fence without a title runs, in the order of its page, in an empty folder. So does Python whose title is the
 name of a file, from that file. Text titled "it prints" is what the code before it prints. Other titles tell
 where or when the code is typed. Such code is only parsed: commands and options by the program's own parsers,
-modules and files by name.
+modules and files by name. A command "at commit 02ed168c" exists there and is not looked for here.
 """
 
 import importlib.util
@@ -33,7 +33,8 @@ from tools import reference
 DOCS = ROOT / "docs"
 PAGES_BY_HAND = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 FENCE = re.compile(r'^```(\w+)(?: title="([^"]*)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
-IN_A_LINE = re.compile(r"`((?:greenhouse|greenhouse-train|python -m|make) [^`]+)`")
+AT_A_COMMIT = r"\s+at commit [0-9a-f]{8}"
+IN_A_LINE = re.compile(rf"`((?:greenhouse|greenhouse-train|python -m|make) [^`]+)`(?!{AT_A_COMMIT})")
 A_PATH = re.compile(
     r"`((?:edge|fleet|firmware_protocol|training|bench|tests|tools|deploy|docs|examples)/[\w./-]+)`"
 )

@@ -21,7 +21,6 @@ LOGS = Path("out/tensorboard")
 RESULTS = Path("training/results")
 TRAINED = RESULTS / "trained"
 POLICIES = RESULTS / "policies"
-NETWORKS = RESULTS / "networks"
 IMAGES = Path("docs/images")
 BOX = Path("../shared/data/heated_box")
 SEEDS = (0, 1, 2, 3, 4)
@@ -72,10 +71,6 @@ def _parser() -> argparse.ArgumentParser:
         commands.add_parser("paper-case", help=_paper_case.__doc__, description=_paper_case.__doc__)
     )
     rl.add_commands(commands)
-    _add_tune_networks(
-        commands.add_parser("tune-networks", help=_tune_networks.__doc__, description=_tune_networks.__doc__)
-    )
-    _add_networks(commands.add_parser("networks", help=_networks.__doc__, description=_networks.__doc__))
     box = commands.add_parser("heated-box", help=_heated_box.__doc__, description=_heated_box.__doc__)
     box.add_argument("--data", type=Path, default=BOX, help=f"folder of the run files (usual: {BOX})")
     box.add_argument("--results", type=Path, default=RESULTS, help=f"where the table goes (usual: {RESULTS})")
@@ -96,9 +91,7 @@ def _add_bundle(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     bundle.add_argument(
         "--hybrid", default="ham_guarded", help="ham_given: the one over a given twin (usual: ham_guarded)"
     )
-    bundle.add_argument(
-        "--network", default="lstm", help="in the LSTM's place, e.g. gru_tuned of `networks` (usual: lstm)"
-    )
+    bundle.add_argument("--network", default="lstm", help="the training in the LSTM's place (usual: lstm)")
     bundle.add_argument(
         "--policies", type=Path, default=POLICIES, help=f"where the policies are (usual: {POLICIES})"
     )
@@ -186,49 +179,6 @@ def _add_paper_case(sub: argparse.ArgumentParser) -> None:
 def _paper_case(arguments: argparse.Namespace) -> int:
     """the bare physics model told what it lacks, and the hybrid over it before and after"""
     from training.evaluate.paper_case import run
-
-    return run(arguments)
-
-
-def _add_tune_networks(sub: argparse.ArgumentParser) -> None:
-    _add_network_names(sub)
-    sub.add_argument("--data", nargs="+", choices=(*REGIMES, "heated_box"), help="only these (usual: all)")
-    sub.add_argument("--trials", type=int, default=12, help="settings for each network (usual: 12)")
-    sub.set_defaults(run=_tune_networks)
-
-
-def _add_networks(sub: argparse.ArgumentParser) -> None:
-    _add_network_names(sub)
-    sub.add_argument("--seeds", type=int, nargs="+", default=SEEDS, help="of the networks (usual: 0 to 4)")
-    sub.add_argument("--out", type=Path, default=OUT, help=f"networks and records (usual: {OUT})")
-    sub.add_argument("--trained", type=Path, default=TRAINED, help=f"the paper's LSTM (usual: {TRAINED})")
-    evaluation = RESULTS / "evaluation.json"
-    sub.add_argument(
-        "--evaluation", type=Path, default=evaluation, help=f"the other models' figures (usual: {evaluation})"
-    )
-    sub.set_defaults(run=_networks)
-
-
-def _add_network_names(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--networks", nargs="+", metavar="NAME", help="only these (usual: all)")
-    sub.add_argument(
-        "--results", type=Path, default=NETWORKS, help=f"settings and figures (usual: {NETWORKS})"
-    )
-    sub.add_argument("--box", type=Path, default=BOX, help=f"folder of the real box's runs (usual: {BOX})")
-    sub.add_argument("--kept", action="store_true", help="train nothing, print anew what is there")
-    add_arguments(sub, workers=0)
-
-
-def _networks(arguments: argparse.Namespace) -> int:
-    """every network with its tuned settings: errors, sizes and times beside the other models"""
-    from training.evaluate.network_comparison import run
-
-    return run(arguments)
-
-
-def _tune_networks(arguments: argparse.Namespace) -> int:
-    """the same few settings for every network, judged on validation parts alone"""
-    from training.evaluate.tune_networks import run
 
     return run(arguments)
 

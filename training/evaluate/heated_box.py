@@ -15,7 +15,7 @@ import torch
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats, Predictor
-from edge.formats.run_file import RecordedRun, data_sha256, inside_names, read_run, resample
+from edge.formats.run_file import RecordedRun, inside_names, read_run, resample
 from edge.formats.run_lines import OPTION_WITHOUT
 from edge.formats.table import Table
 from edge.models.arx import Arx
@@ -225,11 +225,6 @@ def parts_with_room(parts: Split, ambient_c: float) -> Split:
         [_with_room(run, ambient_c) for run in parts.train],
         [_with_room(run, ambient_c) for run in parts.validate],
     )
-
-
-def data_hash(parts: Split) -> str:
-    """Return the hash of all runs that train or validate."""
-    return data_sha256([*parts.train, *parts.validate])
 
 
 def _at_step(run: RecordedRun) -> RecordedRun:

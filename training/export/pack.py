@@ -42,7 +42,7 @@ def gather(out: Path, folder: Path, hybrid_name: str = HYBRID, network_name: str
 
     out : of `greenhouse-train all`
     hybrid_name : the training whose network and twin are taken, "ham_given" for one over a given twin
-    network_name : the training in the place of the LSTM, such as "gru_tuned"
+    network_name : the training in the place of the LSTM
     Errors : DataError where a training is missing or a graph does not prove its contract
     """
     found = records(out)

@@ -4,9 +4,11 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
-from bundles import FACTS, Workshop, answering, load_nothing
+from bundles import FACTS, Workshop, answering, install, load_nothing, make_store
 from contexts import context
+from onnx_files import write_onnx
 from policy_files import policy_file
 
 from edge.__main__ import main
@@ -14,12 +16,13 @@ from edge.app.active_models import ActiveModels
 from edge.bundle.check import check_folder
 from edge.bundle.manifest import MANIFEST, parse_manifest
 from edge.bundle.predictors import loader
-from edge.bundle.sign import sign_folder
+from edge.bundle.sign import build_bundle, sign_folder
 from edge.bundle.store import BundleStore
 from edge.config import loading as config
 from edge.core.errors import DataError
 from edge.forecasts.skill import SkillState
 from edge.models.policy_actions import command_of
+from edge.models.policy_observation import FEATURES
 
 
 def with_policies(workshop: Workshop, **facts: object) -> Path:
@@ -91,3 +94,18 @@ def test_controllers_have_the_policies_of_the_active_bundle(workshop: Workshop) 
     assert controllers["RL-Tr-P"].decide(context(24.0, 26.0)).command == command_of(5)
     with pytest.raises(DataError, match="no policy RL-On-P"):
         controllers["RL-On-P"].decide(context(24.0, 26.0))
+
+
+def test_a_network_and_a_policy_of_any_origin_run_from_an_installed_bundle(workshop: Workshop) -> None:
+    """Both are graphs that no training of this repository makes; their contracts alone speak for them."""
+    folder = workshop.models("foreign")
+    write_onnx(folder / "lstm.onnx", "window")
+    policy_file(folder / "rl-off.onnx", favourite=3)
+    build_bundle(folder, workshop.folder / "foreign.zip", FACTS, workshop.key)
+    store = make_store(workshop, load=loader(60.0))
+    bundle = store.load(install(store, workshop.folder / "foreign.zip"))
+    past = {name: np.full(3, 20.0) for name in ("temp_air", "heater_duty", "fan_on")}
+    found = bundle.predictors["lstm"].rollout(past, np.array([[[0.5, 0.0], [0.25, 0.0]]]), {})
+    assert found.tolist() == [[20.5, 20.75]]
+    observation = np.eye(len(FEATURES))[:1]
+    assert bundle.policies["RL-Off"].values(observation).argmax(axis=1).tolist() == [3]

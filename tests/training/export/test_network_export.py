@@ -9,7 +9,7 @@ import onnxruntime
 import pytest
 import torch
 from onnx import ModelProto
-from torch import Tensor
+from torch import Tensor, nn
 
 from edge.core.errors import DataError
 from edge.core.predictor import Floats
@@ -22,7 +22,6 @@ from training.data.datasets import EXTRAPOLATION_MAX_C
 from training.export.ham_graph import scan_steps
 from training.export.network_export import ExportFacts, export, main
 from training.export.onnx_step import ham_start, single_step
-from training.models.gru import GruNet
 from training.models.ham import HamNet
 from training.models.ham_guarded import GuardedHamNet
 from training.models.lstm import LstmNet
@@ -31,7 +30,7 @@ from training.models.registry import NETWORK_FILE
 from training.models.study import RESULT_FILE
 from training.models.twin_step import TwinStep
 from training.models.weights import save_network
-from training.models.window_network import WINDOW, WindowNet
+from training.models.window_network import COLUMNS, WINDOW, WindowNet
 
 STEP_K, ROLLOUT_K = 1e-5, 1e-3  # what the exported may differ by: over one step, over a whole run
 BOX = {
@@ -41,6 +40,17 @@ BOX = {
     "fan_on": (0.0, 1.0),
 }
 FACTS = ExportFacts("greenhouse-train lstm", 3, "d" * 64, BOX, {"mae_k": 0.5})
+
+
+class FlatNet(WindowNet):
+    """A network that this repository does not have: one layer over the window."""
+
+    def add_layers(self, hidden: int, dropout: float) -> None:
+        self.layer = nn.Linear(WINDOW * len(COLUMNS), 1)
+
+    def read(self, scaled: Tensor) -> Tensor:
+        found: Tensor = self.layer(scaled.flatten(1))
+        return found
 
 
 torch.set_num_threads(1)  # the tests run beside each other
@@ -88,7 +98,7 @@ def window_net(network_type: type[WindowNet], predicts_increment: bool) -> Windo
     target = (0.02, 0.3) if predicts_increment else (28.0, 4.0)
     scale = torch.tensor([28.0, 0.5, 0.4]), torch.tensor([4.0, 0.3, 0.5])
     network = network_type(*scale, *target, predicts_increment=predicts_increment).eval()
-    if network_type in (LstmNet, GruNet):  # as they are drawn, these hardly look at their window
+    if network_type is LstmNet:  # as it is drawn, it hardly looks at its window
         for parameter in network.parameters():
             parameter.data *= 3.0
     return network
@@ -156,17 +166,16 @@ def ham_reference(
     return np.stack(temps, axis=1)
 
 
-EVERY = [("lstm", True), *((name, name == "tcn") for name in NETWORKS)]  # each of them, and both targets
+EVERY = [(LstmNet, True), (FlatNet, True), *((network, False) for network in NETWORKS.values())]
 
 
-@pytest.fixture(scope="module", params=EVERY, ids=lambda param: f"{param[0]}-{param[1]}")
+@pytest.fixture(scope="module", params=EVERY, ids=lambda param: f"{param[0].__name__}-{param[1]}")
 def window_pair(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[WindowNet, OnnxPredictor]:
     """A network and its file, read by the rig's own loader and proved by the golden vectors in it."""
-    name, predicts_increment = request.param
-    network = window_net(NETWORKS[name], predicts_increment)
-    path = tmp_path_factory.mktemp(name) / "lstm.onnx"
+    network = window_net(*request.param)
+    path = tmp_path_factory.mktemp("network") / "lstm.onnx"
     export(network, FACTS, run_file(), path)
     return network, read_lstm(path, 60.0)
 
