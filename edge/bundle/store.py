@@ -10,14 +10,11 @@ Every file and folder is synced before the rename that gives it its name, and th
 cut or a kill leaves the state before or the state after.
 """
 
-import fcntl
 import hashlib
-import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -30,7 +27,7 @@ from edge.bundle.roles import Roles, add_shadow, rolled_back
 from edge.core.errors import DataError, RequestError
 from edge.core.predictor import Predictor
 from edge.forecasts.conformal import Intervals, read_intervals
-from edge.formats.atomic_file import make_folder, move, read_document, sync_folder, write_document
+from edge.formats.atomic_file import hold_lock, move, read_document, sync_folder, write_document
 from edge.formats.cross_check import REQUIRED
 from edge.formats.input_file import Folder, MemoryFolder, read_file
 from edge.formats.reader import read
@@ -193,7 +190,7 @@ class BundleStore:
 
         allow_older : the operator's word for a version below the newest that was installed
         """
-        with self._lock():
+        with hold_lock(self.folder / "lock"):
             self._clear_garbage()
             admitted = self._admission(allow_older)
             incoming = self.folder / _INCOMING
@@ -213,7 +210,7 @@ class BundleStore:
 
     def change(self, step: Callable[[Roles], Roles]) -> Roles:
         """Take a step of edge/bundle/roles.py. Errors: RequestError, DataError for a bundle that is unfit"""
-        with self._lock():
+        with hold_lock(self.folder / "lock"):
             before = self._roles_or_fresh()
             after = step(before)
             if after.active != before.active:
@@ -304,20 +301,6 @@ class BundleStore:
 
     def _write(self, roles: Roles) -> None:
         write_document(self.folder / "roles.json", asdict(roles))
-
-    @contextmanager
-    def _lock(self) -> Iterator[None]:
-        """One process and thread at a time; a kill frees it. What the disk refuses is told as DataError."""
-        try:
-            make_folder(self.folder)
-            descriptor = os.open(self.folder / "lock", os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
-                yield
-            finally:
-                os.close(descriptor)
-        except OSError as error:
-            raise DataError(f"{error.filename or self.folder}: {error.strerror or error}") from error
 
 
 def _manifest_sha256(folder: Path) -> str:

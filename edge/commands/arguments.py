@@ -1,4 +1,4 @@
-"""Arguments that several commands share: numbers, absent columns, output files, a stretch of a history."""
+"""Arguments that several commands share: numbers, files, a stretch of a history."""
 
 import argparse
 import math
@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import HistorySettings
 from edge.core.errors import DataError, RequestError
 from edge.formats.run_lines import OPTION_WITHOUT
@@ -16,6 +17,13 @@ from edge.storage.runs import newest_utc
 
 _UNIT_S = {"d": 86400.0, "h": 3600.0, "min": 60.0}
 _AGE = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(d|h|min)", re.ASCII)
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """--config."""
+    parser.add_argument(
+        "--config", type=Path, default=RIG_CONFIG, help="the rig's configuration file; default: %(default)s"
+    )
 
 
 def add_bounds(parser: argparse.ArgumentParser) -> None:

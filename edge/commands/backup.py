@@ -4,14 +4,7 @@ import argparse
 from pathlib import Path
 
 from edge.app.backup import back_up
-from edge.commands.arguments import writing
-
-CONFIG = Path("/etc/greenhouse/edge.yaml")
-
-
-def add_config(parser: argparse.ArgumentParser) -> None:
-    """--config."""
-    parser.add_argument("--config", type=Path, default=CONFIG, help="edge.yaml (default: %(default)s)")
+from edge.commands.arguments import add_config, writing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

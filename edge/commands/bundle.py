@@ -19,12 +19,12 @@ from edge.bundle.predictors import loader
 from edge.bundle.proof import Prover
 from edge.bundle.roles import Roles
 from edge.bundle.store import BundleStore
+from edge.commands.which_rig import RIG_CONFIG
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
 from edge.sockets.client import NobodyListens, request
 
-CONFIG = Path("/etc/greenhouse/edge.yaml")
 POLL_S = 0.1
 ACTIONS = {  # action -> help
     "verify": "check signature, hashes and models of a bundle, change nothing",
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         default=None,
-        help=f"configuration file; default: {CONFIG} where there is one, else every setting's default",
+        help=f"configuration file; default: {RIG_CONFIG} where there is one, else every setting's default",
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     action = {
@@ -94,9 +94,9 @@ def store_of(settings: Settings, keys: Path | None = None) -> BundleStore:
 
 def settings_of(path: Path | None) -> Settings:
     """As `--config` says; the rig's file, or every default where there is none. Errors: ConfigError"""
-    if path is None and not CONFIG.exists():
+    if path is None and not RIG_CONFIG.exists():
         return config.default()
-    return config.load(path or CONFIG)
+    return config.load(path or RIG_CONFIG)
 
 
 def _verify(store: BundleStore, source: Path) -> None:

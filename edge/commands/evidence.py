@@ -5,7 +5,8 @@ import time
 from pathlib import Path
 
 from edge.commands.arguments import writing
-from edge.commands.bundle import CONFIG, as_owner, settings_of, store_of
+from edge.commands.bundle import as_owner, settings_of, store_of
+from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import Settings
 from edge.core.errors import RequestError
 from edge.evidence.chain import extend_chain, seal_chain, start_chain
@@ -36,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         for name, text in ACTIONS.items()
     }
     for name in ("start", "extend", "mark", "seal"):
-        action[name].add_argument("--config", type=Path, help=f"configuration file (default: {CONFIG})")
+        action[name].add_argument("--config", type=Path, help=f"configuration file (default: {RIG_CONFIG})")
         action[name].add_argument(
             "--folder", type=Path, help="folder of the record; default: evidence, beside the history"
         )
@@ -94,7 +95,7 @@ def _grow(arguments: argparse.Namespace, settings: Settings, folder: Path) -> No
             print(f"the record begins after tick {start.after_seq}; signer {start.key_sha256}")
             print("`greenhouse evidence extend` seals each day; publish its head soon")
         case "extend":
-            facts = rig_facts(arguments.config or CONFIG, settings, store_of(settings))
+            facts = rig_facts(arguments.config or RIG_CONFIG, settings, store_of(settings))
             days, head = extend_chain(folder, history, _key(arguments, settings), facts, now_utc)
             print("\n".join(map(_day_line, days)) or "no day is over that is not sealed")
             print(f"head {head}")

@@ -12,6 +12,7 @@ from edge.app.experiment import ROLES, Experiment, describe_changes, run_experim
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.commands.arguments import SEED_MAX, number, whole, writing
+from edge.commands.which_rig import RIG_CONFIG
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.controllers.input_profile import InputProfile
@@ -22,7 +23,6 @@ from edge.formats.profile_file import Profile, read_profile
 from edge.formats.reader import read_yaml
 from edge.formats.run_file import RecordedRun, absence_facts, write_run
 
-RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
 HISTORY_FACTS = ("history_id", "first_seq", "last_seq")  # mean nothing where no history is kept
 
 

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from edge.commands.arguments import add_config
 from edge.config import loading as config
 from edge.core.errors import RequestError
 from edge.mqtt import telemetry
@@ -11,12 +12,7 @@ from edge.sockets.client import request
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument(
-        "--config",
-        type=Path,
-        default=Path("/etc/greenhouse/edge.yaml"),
-        help="the rig's configuration file; default: %(default)s",
-    )
+    add_config(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

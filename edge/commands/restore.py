@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from edge.app.backup import restore
-from edge.commands.backup import add_config
+from edge.commands.arguments import add_config
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,6 +11,7 @@ from edge.app.display import LineDisplay
 from edge.app.nightly_diagnosis import BackgroundProcess
 from edge.app.outlet import standard_output
 from edge.app.systemd import Notifier
+from edge.commands.arguments import add_config
 from edge.config import loading as config
 from edge.core.clock import RealClock
 from edge.core.messages import TickRecord
@@ -18,12 +19,7 @@ from edge.core.messages import TickRecord
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument(
-        "--config",
-        type=Path,
-        default=Path("/etc/greenhouse/edge.yaml"),
-        help="the rig's configuration file; default: %(default)s",
-    )
+    add_config(parser)
 
 
 class _Report:

@@ -19,8 +19,7 @@ from edge.board.board_session import BoardSession
 from edge.board.board_tool import show
 from edge.board.output_check import CHECKS, LEASE_S, OutputRefused, outputs, run_check, suited_check
 from edge.board.ports import find_ports, lasting_name
-from edge.commands.arguments import writing
-from edge.commands.backup import add_config
+from edge.commands.arguments import add_config, writing
 from edge.commands.check_config import problems
 from edge.config import loading
 from edge.config.example import changed_keys

@@ -21,7 +21,7 @@ from edge.twin.twin_file import read_twin_file, write_twin_file
 if TYPE_CHECKING:
     from edge.diagnosis.experiment.sequence import ExperimentLimits
 from edge.commands.arguments import add_absent_columns, add_times, bounds, number
-from edge.commands.which_rig import history_of
+from edge.commands.which_rig import RIG_CONFIG, history_of
 from edge.config.settings import HistorySettings
 from edge.core.errors import RequestError
 from edge.diagnosis.history_runs import TEST_SHARE, history_runs
@@ -150,7 +150,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _limits(path: Path | None, heater_w: float) -> "ExperimentLimits":
     """Those of the rig. heater_w : of the twin. Errors: ConfigError"""
-    from edge.commands.experiment import RIG_CONFIG
     from edge.diagnosis.experiment.sequence import ExperimentLimits
 
     if path is None and not os.access(RIG_CONFIG, os.R_OK):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.controllers.mixed_integer.polish import Local, neighbours
+from edge.controllers.mixed_integer.polish import Local, fan_variants, neighbours
 from edge.controllers.mixed_integer.problem import Plan, PlanningProblem
 from edge.controllers.mixed_integer.solver import solve
 from edge.controllers.mixed_integer.time_box import TimeBox
@@ -130,9 +130,9 @@ _LEVELS_MORE = (1, -1, 2, -2, 5, -5)
 
 def small_moves(problem: PlanningProblem, local: Local, count: int) -> list[Plan]:
     """At most `count` allowed plans one move from the known one, the cheapest by `local` first."""
-    heated, switched = _heater_plans(local.levels, problem.heater_levels), _fan_plans(local.fan)
-    levels = np.concatenate([heated, np.broadcast_to(local.levels, switched.shape)])
-    fan = np.concatenate([np.broadcast_to(local.fan, heated.shape), switched])
+    heated, blown = _heater_plans(local.levels, problem.heater_levels), fan_variants(local.fan)
+    levels = np.concatenate([heated, np.broadcast_to(local.levels, blown.shape)])
+    fan = np.concatenate([np.broadcast_to(local.fan, heated.shape), blown])
     allowed = problem.allows(levels, fan)
     levels, fan = levels[allowed], fan[allowed]
     cost = problem.cost_at(local.temperatures(levels, fan), levels, fan)
@@ -151,16 +151,6 @@ def _heater_plans(levels: Ints, top: int) -> Ints:
     moves += [(single[1:] - single[:-1]) * more for more in _LEVELS_MORE]
     plans = np.unique(np.clip(levels + np.concatenate(moves), 0, top), axis=0)
     return np.asarray(plans[(plans != levels).any(axis=1)])
-
-
-def _fan_plans(fan: Ints) -> Ints:
-    """Every one or two steps switched."""
-    n = len(fan)
-    one, two = np.triu_indices(n)
-    flips = np.zeros((len(one), n), dtype=np.int64)
-    flips[np.arange(len(one)), one] = 1
-    flips[np.arange(len(one)), two] = 1
-    return fan ^ flips
 
 
 _BATCH = 32  # near plans that are rolled out at once

@@ -4,13 +4,10 @@ A day's rows and signature are on the disk before its entry, and the entry makes
 writes leaves a day that is made anew.
 """
 
-import fcntl
 import json
-import os
 import sqlite3
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,12 +42,13 @@ from edge.evidence.chain_files import (
 from edge.evidence.day_rows import collect_day
 from edge.evidence.marks import read_marks
 from edge.evidence.protocol import protocol_sha256
-from edge.formats.atomic_file import make_folder, write_atomically
+from edge.formats.atomic_file import hold_lock, write_atomically
 from edge.storage.run_rows import reading
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+LOCK = ".lock"
 GRACE_S = 600.0  # after midnight, so that the history's writer is done with the day
 CATCH_UP_DAYS = 40  # a clock that claims more is wrong rather than late
 
@@ -61,7 +59,7 @@ def start_chain(folder: Path, history: Path, key_file: Path, now_utc: float) -> 
     Errors : RequestError where one has begun; DataError for a bad key or history
     """
     key = read_private_key(key_file)
-    with _lock(folder):
+    with hold_lock(folder / LOCK):
         if (folder / START).exists():
             raise RequestError(f"{folder}: a record has begun here already")
         with reading(history) as connection:
@@ -91,7 +89,7 @@ def extend_chain(
     """
     key = read_private_key(key_file)
     added: list[ChainDay] = []
-    with _lock(folder):
+    with hold_lock(folder / LOCK):
         before, head = last_entry(folder, key)
         date = before.date if isinstance(before, ChainStart) else next_day(before.date)
         if now_utc - begin_of(date) > CATCH_UP_DAYS * DAY_S:
@@ -119,7 +117,7 @@ def last_entry(folder: Path, key: "Ed25519PrivateKey") -> tuple[ChainStart | Cha
 def seal_chain(folder: Path, key_file: Path, out: Path, now_utc: float) -> ChainSeal:
     """Write start, days and a signed end into one archive; the record goes on. Errors: DataError, OSError"""
     key = read_private_key(key_file)
-    with _lock(folder), tempfile.TemporaryDirectory(prefix="record-") as temporary:
+    with hold_lock(folder / LOCK), tempfile.TemporaryDirectory(prefix="record-") as temporary:
         last, head = last_entry(folder, key)
         days = 0 if isinstance(last, ChainStart) else last.number
         names = [SIGNER, START, *(day_name(number) for number in range(1, days + 1))]
@@ -200,18 +198,3 @@ def _public_pem(key: "Ed25519PrivateKey") -> bytes:
     from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
     return key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
-
-
-@contextmanager
-def _lock(folder: Path) -> Iterator[None]:
-    """One process at a time; a kill frees the lock. Errors: DataError for what the disk refuses"""
-    try:
-        make_folder(folder)
-        descriptor = os.open(folder / ".lock", os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-            yield
-        finally:
-            os.close(descriptor)
-    except OSError as error:
-        raise DataError(f"{error.filename or folder}: {error.strerror or error}") from error

@@ -5,11 +5,13 @@ a file without a name, so that a kill leaves nothing else in the folder.
 """
 
 import errno
+import fcntl
 import json
 import os
 import secrets
 import stat
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +64,24 @@ def move(path: Path, target: Path) -> None:
     """Rename within one folder, wholly or not at all even in a power cut. Errors: OSError"""
     path.rename(target)
     sync_folder(target.parent)
+
+
+@contextmanager
+def hold_lock(path: Path) -> Iterator[None]:
+    """Let one process and thread at a time in; a kill frees the lock. Makes the file and its folder.
+
+    Errors : DataError for what the disk refuses, within the block too
+    """
+    try:
+        make_folder(path.parent)
+        descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise DataError(f"{error.filename or path.parent}: {error.strerror or error}") from error
 
 
 def _status(path: Path) -> os.stat_result | None:

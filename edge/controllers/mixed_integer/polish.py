@@ -137,14 +137,20 @@ def _cheapest(cost: Floats, count: int) -> Ints:
     return np.argsort(cost, kind="stable")[:count]
 
 
-def _fan_plans(fan: Ints) -> Ints:
-    """Return the plan, and each variant with one or two steps switched or a whole rest on or off, once."""
+def fan_variants(fan: Ints) -> Ints:
+    """Return each variant of the plan with one or two steps switched."""
     n = len(fan)
     one, two = np.triu_indices(n)
     flips = np.zeros((len(one), n), dtype=np.int64)
     flips[np.arange(len(one)), one] = 1
     flips[np.arange(len(one)), two] = 1
+    return fan ^ flips
+
+
+def _fan_plans(fan: Ints) -> Ints:
+    """Return the plan, and each variant with one or two steps switched or a whole rest on or off, once."""
+    n = len(fan)
     rest = np.arange(n)[None, :] >= np.arange(n)[:, None]
-    plans = np.concatenate([fan[None, :], fan ^ flips, np.where(rest, 0, fan), np.where(rest, 1, fan)])
+    plans = np.concatenate([fan[None, :], fan_variants(fan), np.where(rest, 0, fan), np.where(rest, 1, fan)])
     _, first = np.unique(plans @ (1 << np.arange(n)), return_index=True)
     return np.asarray(plans[np.sort(first)])
