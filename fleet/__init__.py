@@ -1,4 +1,4 @@
-"""Many rigs: one view, one prior of what boxes are like, bundles that spread in waves.
+"""Many rigs: one view, bundles that spread in waves.
 
 It imports edge and nothing of edge imports it: a rig alone needs none of it. Messages, numbers, tables, jobs
 and the way in are engines that exist: mosquitto, VictoriaMetrics, SQLAlchemy over SQLite or PostgreSQL, Dask,

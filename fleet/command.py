@@ -8,7 +8,7 @@ from types import ModuleType
 
 from edge.core.errors import RequestError
 
-HELP = "many rigs: one store, one page, bundles in waves, what boxes have in common"
+HELP = "many rigs: one store, one page, bundles in waves"
 VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`, and its help
     "up": ("fleet.commands.up", "start a fleet on this machine: authority, engines, page"),
     "down": ("fleet.commands.down", "end it; its data stays unless it is erased"),
@@ -17,9 +17,8 @@ VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`,
     "user": ("fleet.commands.user", "add, list or remove people who may log in"),
     "rigs": ("fleet.commands.rigs", "list the rigs that were ever heard"),
     "changes": ("fleet.commands.changes", "tell which boxes changed, and what is missing in each"),
-    "prior": ("fleet.commands.prior", "write the start of a new box's twin, from those of its kind"),
     "rollout": ("fleet.commands.rollout", "spread a bundle in waves that are judged and rolled back"),
-    "work": ("fleet.commands.work", "do the jobs of a night: diagnoses, priors, boxes unlike their kind"),
+    "work": ("fleet.commands.work", "do the jobs of a night: diagnose the rigs whose twins disagree"),
     "ingest": ("fleet.commands.ingest", "store what rigs send, and ask for what is missing"),
     "serve": ("fleet.commands.serve", "serve the page and its API"),
     "rules": ("fleet.commands.rules", "print the rules of vmalert"),

@@ -43,7 +43,7 @@ FLEET = (
     ("jobs",),
     ("ingest", "rollout"),
     ("numbers",),
-    ("database", "priors"),
+    ("database",),
 )
 TRAINING = {"data", "models", "export", "evaluate", "rl", "control", "reports", "llm_stand_in"}
 WIRE = {

@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 
 from sqlalchemy import Engine
 
-from edge.core.errors import DataError, GreenhouseError, RequestError
+from edge.core.errors import GreenhouseError, RequestError
 from edge.core.sweep import add_arguments as add_sweep_arguments
 from fleet.database.base import open_database
 from fleet.database.lease import FleetLease
@@ -71,27 +71,11 @@ def _work(settings: FleetSettings, workers: int, dask: str | None) -> None:
 def _do(settings: FleetSettings, engine: Engine, workers: int, dask: str | None) -> None:
     # Late: fits take 100 MB, which a process that waits for the night need not hold.
     from fleet.jobs.diagnosis_job import diagnose_changed
-    from fleet.jobs.prior_job import renew_prior
-    from fleet.jobs.rehearsal_job import rehearse_kinds
-    from fleet.jobs.structure_job import fit_structures
 
-    utc = time.time()
-    found = diagnose_changed(engine, settings.numbers, utc, workers, dask)
+    found = diagnose_changed(engine, settings.numbers, time.time(), workers, dask)
     _say(f"diagnosis: of {len(found)} rigs whose twins disagree")
     for rig, finding in found:
         _say(f"diagnosis: {rig}: {finding.text}")
-    new, failed = fit_structures(engine, settings.numbers, utc, workers, dask)
-    _say(f"structures: {new} new fits of boxes to what others of their kind have told, {failed} failed")
-    done, failed = rehearse_kinds(engine, settings.numbers, utc, workers, dask)
-    _say(f"rehearsals: {done} boxes as if they were new, {failed} failed")
-    try:
-        renewed = renew_prior(engine, utc)
-    except DataError as error:
-        _say(f"prior: {error}")
-    else:
-        _say(f"prior: of {renewed.boxes} boxes; {renewed.departures} values are far from their kind's")
-        for rig, reason in renewed.unread.items():
-            _say(f"prior: the twin of {rig} is left out: {reason}")
 
 
 def _say(text: str) -> None:

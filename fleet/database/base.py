@@ -11,7 +11,8 @@ from edge.core.errors import DataError
 from fleet.settings import DatabaseSettings
 
 VERSION = 1  # of the tables
-GONE = ("rehearsals", "box_rehearsals")  # of earlier software: their rows would keep a rig from being erased
+# Of earlier software: their rows would keep a rig from being erased.
+GONE = ("rehearsals", "box_rehearsals", "hour_rehearsals", "structure_fits", "departures", "priors")
 BUSY_S = 30.0  # SQLite: another process holds the lock for milliseconds
 POSTGRES = {  # libpq: a server whose machine is gone is noticed after half a minute
     "connect_timeout": 10,

@@ -1,11 +1,10 @@
-"""Changes of boxes in one list: alarms of twins, diagnoses, and values unlike their kind."""
+"""Changes of boxes in one list: alarms of twins and diagnoses."""
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from fleet.database.diagnoses import RigDiagnosis
 from fleet.database.events import RigEvent
-from fleet.database.twins import Departure
 
 KEYS = ("twin.disagrees", "twin.agrees_again", "diagnosis.done", "diagnosis.adopted")
 Line = tuple[float, str]  # utc, a sentence
@@ -22,13 +21,6 @@ def changes(session: Session, since_utc: float) -> dict[str, list[Line]]:
         add(event.rig, event.utc, event.text)
     for diagnosis in session.scalars(select(RigDiagnosis).where(RigDiagnosis.utc >= since_utc)):
         add(diagnosis.rig, diagnosis.utc, f"the fleet's diagnosis: {diagnosis.text}{_gap(diagnosis)}")
-    for far in session.scalars(select(Departure).where(Departure.since_utc >= since_utc)):
-        place = f"{far.effect}.{far.parameter}"
-        add(
-            far.rig,
-            far.since_utc,
-            f"{place} is {far.ratio:.2g} times that of its kind ({far.spreads:+.1f} spreads)",
-        )
     newest = sorted(found, key=lambda rig: max(found[rig])[0], reverse=True)
     return {rig: sorted(found[rig]) for rig in newest}
 

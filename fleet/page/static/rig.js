@@ -78,13 +78,11 @@ function Twin({ rig }) {
   const twin = rig.twin;
   const verdict = rig.drift.text ?? rig.drift.state;
   const values = Object.entries(twin?.effects ?? {}).flatMap(([effect, all]) => Object.entries(all ?? {}).map(([name, value]) => [effect, name, value?.value ?? value]));
-  const unlike = (effect, name) => twin.departures.find((each) => each.effect === effect && each.parameter === name);
   return html`<section class="card" aria-label="Twin"><h2>Its twin</h2>
     <p>${verdict ? String(verdict) : "It has said nothing of how well its twin agrees."}</p>
     ${!twin ? html`<p class="quiet">It has told no twin yet.</p>` : html`<p class="quiet">of bundle ${twin.bundle}, told ${clock(twin.utc, true)}</p>
-      <table><thead><tr><th>effect</th><th>value</th><th>beside its kind</th></tr></thead><tbody>
-      ${values.map(([effect, name, value]) => html`<tr key=${`${effect} ${name}`}><td>${effect} ${name}</td><td>${rounded(value)}</td>
-        <td>${unlike(effect, name) ? html`<b class="why drift">${rounded(unlike(effect, name).ratio)} times what is usual</b>` : ""}</td></tr>`)}</tbody></table>`}
+      <table><thead><tr><th>effect</th><th>value</th></tr></thead><tbody>
+      ${values.map(([effect, name, value]) => html`<tr key=${`${effect} ${name}`}><td>${effect} ${name}</td><td>${rounded(value)}</td></tr>`)}</tbody></table>`}
   </section>`;
 }
 

@@ -22,6 +22,16 @@ def test_what_was_written_is_there_after_the_next_opening(tmp_path: Path) -> Non
         assert (rig.kind, rig.state, rig.is_online) == ("", {}, False)
 
 
+def test_tables_of_earlier_software_go_as_their_rows_would_keep_a_rig(tmp_path: Path) -> None:
+    settings = DatabaseSettings(url=f"sqlite:///{tmp_path}/fleet.db")
+    with open_database(settings).begin() as connection:
+        connection.execute(text("INSERT INTO rigs VALUES ('rig-1', '', '', 1.0, 2.0, 0, '{}')"))
+        connection.execute(text("CREATE TABLE departures (rig TEXT PRIMARY KEY REFERENCES rigs (name))"))
+        connection.execute(text("INSERT INTO departures VALUES ('rig-1')"))
+    with open_database(settings).begin() as connection:
+        connection.execute(text("DELETE FROM rigs"))
+
+
 def test_tables_of_another_version_are_refused(tmp_path: Path) -> None:
     settings = DatabaseSettings(url=f"sqlite:///{tmp_path}/fleet.db")
     with open_database(settings).begin() as connection:

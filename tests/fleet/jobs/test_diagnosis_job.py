@@ -9,10 +9,13 @@ from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 from stored_ticks import START, store
 
+from edge.__main__ import main
 from edge.twin.twin_file import twin_document
+from fleet.commands.work import WORK
 from fleet.database.base import open_database
 from fleet.database.diagnoses import RigDiagnosis
 from fleet.database.events import RigEvent
+from fleet.database.lease import FleetLease
 from fleet.database.rigs import FleetRig
 from fleet.database.twins import ToldTwin
 from fleet.jobs.changes import changes
@@ -67,6 +70,21 @@ def test_a_rig_that_cannot_be_diagnosed_is_told_and_ends_no_night(engine: Engine
         session.add(ToldTwin(rig="rig-1", bundle="b", utc=START, document=twin_document(twin_file())))
     ((rig, found),) = diagnose_changed(engine, nowhere, START + 60.0, workers=0)
     assert (rig, found.verdict) == ("rig-1", "failed") and "numbers.url" in found.text
+
+
+def test_one_process_does_the_jobs_of_a_night(
+    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "fleet.yaml").write_text(f'database: {{url: "sqlite:///{tmp_path}/fleet.db"}}\n')
+    words = ["fleet", "work", "--settings", f"{tmp_path}/fleet.yaml"]
+    monkeypatch.setattr("sys.argv", ["greenhouse", *words])
+    lease = FleetLease(engine, WORK)
+    assert lease.take() == ""  # as while the service does them
+    assert main(words) == 2
+    assert "does the jobs of a night now" in capsys.readouterr().err
+    lease.give_back()
+    assert main(words) == 0
+    assert "diagnosis: of 0 rigs whose twins disagree" in capsys.readouterr().out
 
 
 @needs_victoria

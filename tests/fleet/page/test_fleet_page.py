@@ -14,7 +14,7 @@ from edge.bundle.remote import fetch
 from edge.page.access import Role
 from edge.page.password_tries import TRIES
 from fleet.database.base import open_database
-from fleet.database.twins import Departure, ToldTwin
+from fleet.database.twins import ToldTwin
 from fleet.rollout.archives import add_archive, archive_url
 from fleet.settings import NumbersSettings
 from tests.support.broker import free_port
@@ -247,17 +247,15 @@ def test_alarms_come_from_vmalert_alone_and_are_checked(page: FleetPageOfTest) -
     assert len(page.client("Ann").get("/api/alarms").json()["alarms"]) == 200
 
 
-def test_the_newest_twin_and_where_it_is_unlike_its_kind_are_shown(page: FleetPageOfTest) -> None:
+def test_the_newest_twin_is_shown(page: FleetPageOfTest) -> None:
     page.add_rig("a-1", kind="tent")
     ann = page.client("Ann")
     assert ann.get("/api/rigs/a-1").json()["twin"] is None
     with Session(open_database(page.settings.database)) as session, session.begin():
         effects = {"wall_loss": {"UA": {"value": 5.1, "low": 4.8, "high": 5.4}}}
         session.add(ToldTwin(rig="a-1", bundle="b-7", utc=1.7e9, document={"effects": effects}))
-        unlike = {"effect": "wall_loss", "parameter": "UA", "ratio": 2.1, "spreads": 4.0, "since_utc": 1.7e9}
-        session.add(Departure(rig="a-1", **unlike))
     found = ann.get("/api/rigs/a-1").json()["twin"]
-    assert found == {"bundle": "b-7", "utc": 1.7e9, "effects": effects, "departures": [unlike]}
+    assert found == {"bundle": "b-7", "utc": 1.7e9, "effects": effects}
 
 
 def test_a_bundle_is_handed_to_any_rig_by_its_hash(page: FleetPageOfTest, workshop: Workshop) -> None:
