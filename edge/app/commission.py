@@ -10,22 +10,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edge.app.box import COMMISSION
-from edge.app.rest_offset import with_rest_offset
 from edge.app.sensor_step import step_of
 from edge.app.step_test_record import STEP_S
 from edge.app.step_test_rows import stretches
 from edge.config.settings import ControlSettings
 from edge.core.errors import DataError, RequestError
 from edge.diagnosis.adopted_twin import round_value
-from edge.diagnosis.diagnose import Diagnosis, diagnose, fitted_twin
-from edge.diagnosis.prepare import prepare
-from edge.diagnosis.prior_fit import as_over_days, far_values, fit_about, usual_miss_k
+from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.diagnosis.progress import Progress
-from edge.diagnosis.runs import DiagnosisRuns, diagnosis_runs, judged_from
-from edge.diagnosis.trial import FittedTwin
+from edge.diagnosis.runs import diagnosis_runs, judged_from
 from edge.diagnosis.unknowns import with_usual
 from edge.formats.run_file import RecordedRun, cut
 from edge.models.fit_arx import ArxFit, fit_arx
@@ -34,12 +29,10 @@ from edge.twin.effects.library import EFFECTS
 from edge.twin.effects.plausible import implausible, odd, with_usual_fan
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import with_room_error
-from edge.twin.provenance import PRIOR
 from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile
 from edge.twin.warm_start import at_rest
 
-Floats = NDArray[np.float64]
 Search = Callable[[TwinFile], tuple[Diagnosis, TwinFile, float]]
 TEST_SHARE = 0.25  # of the rows, the newest, that no fit sees
 # Of free runs on those rows, and by the band that was seen. By twins that were off by 1.03 and 1.87 K plans
@@ -48,7 +41,6 @@ ERROR_MAX_K, ERROR_MAX_SHARE = 2.0, 0.15
 BETTER, FAR_BETTER = 0.8, 0.5  # shares of the twin's error: a simple model is told, or taken in its place
 BY_SEARCH = ("added", "after", CORRELATION)  # of a provenance; not true of a baseline
 SEEN_MIN_K = 2.0  # that the air must have risen
-PROMISED_SHARE = 0.5  # of what a fleet's start says that it moves in these tests, where that is less
 LONGEST_MIN = 1440.0  # of tests that it proposes
 HELD_OUT_MIN = 20.0  # of a stretch whose newest rows no fit sees; a shorter one is only fitted
 
@@ -101,15 +93,15 @@ def learn(
 ) -> Commissioned:
     """Fit the twin to the tests and judge it.
 
-    start : the box's description, values to be fitted in it; or what a fleet made of that
+    start : the box's description, values to be fitted in it
     control : its step, and the room that is assumed without a sensor
     Errors : RequestError for a box that did not answer, DataError for a run that nothing can be fitted to
     """
-    if (moved_k := _moved_k(run)) < (least_k := _least_move_k(run, start)):
+    if (moved_k := _moved_k(run)) < SEEN_MIN_K:
         minutes = len(run) * STEP_S / 60.0
-        longer = 30.0 * math.ceil(minutes * least_k / max(moved_k, 1e-9) / 30.0)
+        longer = 30.0 * math.ceil(minutes * SEEN_MIN_K / max(moved_k, 1e-9) / 30.0)
         raise RequestError(
-            f"refused: the air moved by {moved_k:.1f} K in all of the tests, less than {least_k:.2g} K: the "
+            f"refused: the air moved by {moved_k:.1f} K in all of the tests, less than {SEEN_MIN_K:g} K: the "
             "heater is too small for this box or this time, not connected, or the sensor hangs where its "
             "heat does not come" + (f"; tests of {longer:g} minutes may do" if longer <= LONGEST_MIN else "")
         )
@@ -126,29 +118,22 @@ def learn(
     held_out = dict(judging)
     both = [(name, held_out.get(name, part)) for name, part in zip(names, parts, strict=True)]
     runs = diagnosis_runs(both, judging, file)
-    limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * max(moved_k, SEEN_MIN_K))
+    limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * moved_k)
 
     def search(begin: TwinFile) -> tuple[Diagnosis, TwinFile, float]:
         found = diagnose(begin, runs, progress, COMMISSION, jobs)
         return found, *chosen_twin(found, limit_k)
 
-    begun, (about, fitted) = file, _about_prior(file, parts[0], runs)
-    found, chosen, error_k = search_past_steps(about, search)
-    usual = with_usual_fan(file) if any((*implausible(chosen), *odd(chosen))) else None
-    if usual is not None:
-        begun, (about, fitted) = usual, _about_prior(usual, parts[0], runs)
-        found, chosen, error_k = search_past_steps(about, search)
-    if PRIOR in chosen.provenance:  # it is of its kind: what judged it may be fitted too
-        every = diagnosis_runs(list(zip(names, parts, strict=True)), [], file)
-        again, _ = _about_prior(begun, parts[0], every, fitted)
-        chosen = as_over_days(replace(again, provenance={**chosen.provenance, **again.provenance}))
+    found, chosen, error_k = search_past_steps(file, search)
+    if any((*implausible(chosen), *odd(chosen))) and (usual := with_usual_fan(file)) is not None:
+        found, chosen, error_k = search_past_steps(usual, search)
     step_k = max(step_of(run.columns["temp_air_c"]), start.sensor.get("quantisation_k") or 0.0)
     twin = replace(chosen, sample_s=control.step_s, sensor={**chosen.sensor, "quantisation_k": step_k})
     room_c = float(np.nanmean(found.inputs.runs.ambient))
     hours = len(run) * STEP_S / 3600.0
     seen_c = float(np.nanmax(run.columns["temp_air_c"]))
     expectation = _expect(twin, room_c, error_k, hours, seen_c)
-    refusals = (*_refusals(error_k, limit_k, PRIOR in chosen.provenance), *implausible(chosen))
+    refusals = (*_refusals(error_k, limit_k), *implausible(chosen))
     if found.inputs.guessed:
         try:
             twin = with_room_error(twin, control.ambient_default_c, room_c)
@@ -165,7 +150,7 @@ def learn(
         _fallback(parts, control.step_s, start),
         expectation,
         refusals,
-        (*odd(chosen), *(far_values(start, chosen) if PRIOR in chosen.provenance else ())),
+        tuple(odd(chosen)),
         better_model(found, error_k),
     )
 
@@ -185,45 +170,21 @@ def search_past_steps(begin: TwinFile, search: Search) -> tuple[Diagnosis, TwinF
     return found
 
 
-def _about_prior(
-    start: TwinFile, begin: RecordedRun, runs: DiagnosisRuns, near: FittedTwin | None = None
-) -> tuple[TwinFile, FittedTwin | None]:
-    """Return a start that a fleet gave, fitted; another as it is, and None.
-
-    begin : the tests, or their first part; near : what was fitted to less of them
-    """
-    if PRIOR not in start.provenance:
-        return start, None
-    found = fit_about(prepare(with_rest_offset(start, begin), runs), usual_miss_k(start), near)
-    twin = fitted_twin(found)
-    return replace(twin, provenance={**twin.provenance, PRIOR: start.provenance[PRIOR]}), found
-
-
 def chosen_twin(found: Diagnosis, limit_k: float = ERROR_MAX_K) -> tuple[TwinFile, float]:
-    """Return the twin that was found, or a simpler one, and the error of its free run over the held-out rows.
+    """Return the twin that was found, or a baseline, and the error of its free run over the held-out rows.
 
-    What was fitted about a fleet's start is taken, as it is of its kind: that a twin without one follows an
-    hour more closely tells little of a day. A baseline is taken if it halves the error, or is clearly better
-    where the other is refused. It may lack the lag of heater or sensor, and a plan without that swings, which
-    a free run does not show.
+    A baseline is taken if it halves the error, or is clearly better where the other is refused. It may lack
+    the lag of heater or sensor, and a plan without that swings, which a free run does not show.
     """
-    given, before_k = found.inputs.file, found.test_k.get("before", math.inf)
-    if PRIOR in given.provenance:
-        return _instead(found, given, before_k), before_k
     error_k, twins = found.test_k.get("after", math.nan), found.simple_twins
     simple = {name: error for name, error in found.test_k.items() if name in twins}
     best = min(simple, key=simple.__getitem__, default="")
     share = BETTER if error_k > limit_k else FAR_BETTER
     if not best or not simple[best] < share * error_k:
         return found.adopted, error_k
-    return _instead(found, twins[best], simple[best]), simple[best]
-
-
-def _instead(found: Diagnosis, twin: TwinFile, error_k: float) -> TwinFile:
-    """Return a twin with the origin of the one that the search has found."""
     origin = {key: value for key, value in found.adopted.provenance.items() if key not in BY_SEARCH}
-    own = {"added": {}, "after": {"test": {"rmse_k": round_value(error_k)}}}
-    return replace(twin, provenance={**origin, **twin.provenance, **own})
+    own = {"added": {}, "after": {"test": {"rmse_k": round_value(simple[best])}}}
+    return replace(twins[best], provenance={**origin, **twins[best].provenance, **own}), simple[best]
 
 
 def better_model(found: Diagnosis, error_k: float) -> tuple[str, float] | None:
@@ -233,24 +194,12 @@ def better_model(found: Diagnosis, error_k: float) -> tuple[str, float] | None:
     return (best, simple[best]) if best and simple[best] < BETTER * error_k else None
 
 
-def _refusals(error_k: float, limit_k: float, is_of_kind: bool) -> Iterator[str]:
+def _refusals(error_k: float, limit_k: float) -> Iterator[str]:
     if not error_k <= limit_k:
-        again = "; its values are its kind's: did the sun or a draught come? test again without"
         yield (
             f"over {TEST_SHARE:.0%} of the tests, which no fit saw, the twin is off by "
-            f"{error_k:.2f} K, more than {limit_k:.2f} K" + (again if is_of_kind else "")
+            f"{error_k:.2f} K, more than {limit_k:.2f} K"
         )
-
-
-def _least_move_k(run: RecordedRun, start: TwinFile) -> float:
-    """Return by how much the air must have moved; of a slow kind a fleet tells that it is little [K]."""
-    if PRIOR not in start.provenance:
-        return SEEN_MIN_K
-    twin = replace(start, sample_s=STEP_S).twin()
-    still = np.zeros(len(run))
-    duty, fan = (np.nan_to_num(run.columns.get(name, still))[None] for name in ("heater_duty", "fan_on"))
-    promised_k = float(np.ptp(_air_c(twin, 0.0, Commands(duty, fan))))
-    return min(SEEN_MIN_K, PROMISED_SHARE * promised_k)
 
 
 def _moved_k(run: RecordedRun) -> float:
@@ -271,14 +220,9 @@ def _after_c(twin: BoxTwin, room_c: float, hours: float, duty: float, fan: float
     """Return the air after hours of the same inputs, from rest [°C]."""
     steps = max(round(3600.0 * hours / twin.step_s), 1)
     inputs = Commands(np.full((1, steps), duty), np.full((1, steps), fan))
-    return float(_air_c(twin, room_c, inputs, inputs)[-1])
-
-
-def _air_c(twin: BoxTwin, room_c: float, inputs: Commands, before: Commands | None = None) -> Floats:
-    """Return the air under inputs [1, N] from rest, [N]. before : inputs until then, off where None"""
-    conditions = {name: np.zeros(inputs.duty.shape[1]) for name in twin.needs}
+    conditions = {name: np.zeros(steps) for name in twin.needs}
     rest = at_rest(twin, twin.signals.room(np.array(room_c)), room_c)
-    return np.asarray(twin.rollout(rest, *inputs, room_c, conditions=conditions, before=before)[0])
+    return float(twin.rollout(rest, *inputs, room_c, conditions=conditions, before=inputs)[0, -1])
 
 
 def _begin_test(run: RecordedRun) -> int:

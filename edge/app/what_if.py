@@ -5,10 +5,10 @@ leaves further things open, and each twin is drawn with its own `_Doubt` about t
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from edge.twin.effects.library import EFFECTS, nameless
 from edge.twin.effects.loss import WALL_CAPACITIES, WALL_CONDUCTANCES
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import resistance_m2_k_w
-from edge.twin.provenance import provenance_numbers
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
@@ -131,9 +130,9 @@ class Seen(NamedTuple):
     def of(cls, file: TwinFile) -> "Seen":
         """Read them from the provenance."""
         air, room, hours = (
-            provenance_numbers(file, "validity", key) for key in ("temp_air_c", "temp_ambient_c", "hours")
+            _numbers(file, "validity", key) for key in ("temp_air_c", "temp_ambient_c", "hours")
         )
-        error = provenance_numbers(file, "after", "test", "rmse_k")
+        error = _numbers(file, "after", "test", "rmse_k")
         above_k = max(air[-1] - sum(room) / len(room), SEEN_MIN_K) if air and room else math.nan
         return cls(
             air[-1] if air else math.nan,
@@ -141,6 +140,16 @@ class Seen(NamedTuple):
             error[0] if error else math.nan,
             3600.0 * hours[0] if hours else 0.0,
         )
+
+
+def _numbers(file: TwinFile, *keys: str) -> list[float]:
+    """Return a number, or a list of numbers, of the provenance; empty where there is none."""
+    found: Any = file.provenance
+    for key in keys:
+        found = found.get(key) if isinstance(found, Mapping) else None
+    items = found if isinstance(found, list) else [found]
+    numbers = [float(item) for item in items if isinstance(item, int | float)]
+    return numbers if len(numbers) == len(items) and all(map(math.isfinite, numbers)) else []
 
 
 class _Doubt(NamedTuple):

@@ -24,13 +24,6 @@ ORDERS = (2, 3, 4)
 FAN = {"exhaust": ("fan_effectiveness",), "stirring": ("stirred_loss",)}  # by its role
 
 
-def bare(file: TwinFile) -> TwinFile:
-    """Return a box of which nothing is known but its geometry: losses, a mass and the fan, to be fitted."""
-    return replace(
-        _open(file, (LOSING, STORING, *FAN.get(file.fan_role, ()))), geometry=file.geometry, provenance={}
-    )
-
-
 def simple_twins(file: TwinFile, runs: RunBatch) -> dict[str, TwinFile]:
     """By name, with all values to be fitted. file : for the geometry and the step"""
     fan = FAN.get(file.fan_role, ()) if np.ptp(runs.fan) > 0.0 else ()

@@ -80,11 +80,10 @@ class Diagnosis:
     @property
     def simple_twins(self) -> dict[str, TwinFile]:
         """The fitted baselines that are twins, by name; of their provenance the correlations alone."""
-        return {name: fitted_twin(item.fit) for name, item in self.judgement.comparison.simple.items()}
+        return {name: _fitted_twin(item.fit) for name, item in self.judgement.comparison.simple.items()}
 
 
-def fitted_twin(item: FittedTwin) -> TwinFile:
-    """Return a fit as a twin file: known values with intervals; of the provenance its correlations alone."""
+def _fitted_twin(item: FittedTwin) -> TwinFile:
     known = {place: Value(round_value(value.value)) for place, value in item.file.values().items()}
     fitted = {place: plain_value(value) for place, value in _free_values(item).items()}
     return replace(item.file.with_values(known | fitted), provenance=_correlation(item))

@@ -129,7 +129,7 @@ def another(found: FittedTwin, runs: RunBatch, noise_k: float, shared: SideBySid
     free, levels = found.free, free_levels(ROUGH_K)
     starts = [
         replace(found.trial, file=place_unknowns(found.file, free, x), free=free, levels=levels)
-        for x in (*exchanges(found), *_draw(free, DRAWN))
+        for x in (*_exchanges(found), *_draw(free, DRAWN))
     ]
     rough = shared.map(partial(fit, runs=runs, iterations=ROUGHLY), starts)
     far = sorted((item for item in rough if apart(found, item)), key=lambda item: rms_k(item, runs))
@@ -140,7 +140,7 @@ def another(found: FittedTwin, runs: RunBatch, noise_k: float, shared: SideBySid
     return min(rivals, key=lambda item: rms_k(item, runs), default=None)
 
 
-def exchanges(found: FittedTwin) -> Iterator[Floats]:
+def _exchanges(found: FittedTwin) -> Iterator[Floats]:
     """Yield coordinates at which a lag and the air have changed places: a slow and a fast answer in a row."""
     values = found.file.values()
     for i, item in enumerate(found.free):

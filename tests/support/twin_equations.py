@@ -15,9 +15,9 @@ NOTHING = {
     "eps_f": 1.0, "s_sc": 0.0, "d_f": 0.0, "tau_f": 0.0, "F_mix": 0.0, "tau_s": 0.0, "bias": 0.0,
     "b_amb": 0.0, "P0": 0.0, "P_led": 0.0, "A_sun": 0.0, "k_e": 0.0, "G_door": 0.0, "ua_drift": 0.0,
     "P_fan": 0.0, "G_g": 0.0, "T_g": 0.0, "F_st": 0.0, "G_nc": 0.0, "P_res": 0.0, "G_stir": 0.0,
-    "k_el": 0.0, "k_P": 0.0, "C_m": 1.0, "G_m": 0.0,
+    "k_el": 0.0, "k_P": 0.0,
 }  # fmt: skip
-STATES = ("air", "upper", "wall", "soil", "slow", "heater", "fan", "sensor")
+STATES = ("air", "upper", "wall", "soil", "heater", "fan", "sensor")
 
 
 def late(commands, time_s, dead_s, step_s):
@@ -31,7 +31,7 @@ def slopes(state, duty, fan, now, p):
 
     now : ambient (as measured), light, solar, rel_humidity, day, door, command (of the heater, not late)
     """
-    air, upper, wall, soil, slow, element, speed, sensor = state
+    air, upper, wall, soil, element, speed, sensor = state
     room = now["ambient"] - p["b_amb"]
     supply = min(duty, p["u_sat"])
     wanted_w = p["eta"] * HEATER_W * supply * (1.0 - p["sag"] * supply)
@@ -51,9 +51,6 @@ def slopes(state, duty, fan, now, p):
         radiated += p["G_stir"] * flow * (temp - room)
         return radiated + (ageing * p["UA"] + leak + p["G_door"] * now["door"]) * (temp - room)
 
-    def stored(temp):
-        return p["G_in"] * (temp - wall) + p["G_s"] * (temp - soil) + p["G_m"] * (temp - slow)
-
     deficit = 0.6108 * np.exp(17.27 * air / (air + 237.3)) * (1.0 - now["rel_humidity"] / 100.0)
     other = (
         p["P_fan"] * flow
@@ -71,21 +68,23 @@ def slopes(state, duty, fan, now, p):
     d_soil = p["f_rad"] * to_soil * power / p["C_s"]
     if p["F_mix"]:
         swap = 1.2 * 1005.0 * p["F_mix"] * (air - upper)
-        half = [0.5 * (other - loss(t) - stored(t)) for t in (air, upper)]
+        half = [
+            0.5 * (other - loss(t) - p["G_in"] * (t - wall) - p["G_s"] * (t - soil)) for t in (air, upper)
+        ]
         d_air, d_upper = (
             (half[0] - exhaust - swap) * 2.0 / capacity,
             (half[1] + swap + heated) * 2.0 / capacity,
         )
         mean = 0.5 * (air + upper)
     else:
-        d_air, d_upper, mean = (heated + other - loss(air) - stored(air) - exhaust) / capacity, 0.0, air
+        through = p["G_in"] * (air - wall) + p["G_s"] * (air - soil)
+        d_air, d_upper, mean = (heated + other - loss(air) - through - exhaust) / capacity, 0.0, air
     d_wall += p["G_in"] * (mean - wall) / p["C_w"]
     d_soil += p["G_s"] * (mean - soil) / p["C_s"]
-    d_slow = p["G_m"] * (mean - slow) / p["C_m"]
     d_element = (wanted_w - freed * element) / p["tau_h"] if p["tau_h"] else 0.0
     d_speed = (fan - speed) / p["tau_f"] if p["tau_f"] else 0.0
     d_sensor = (air - sensor) / p["tau_s"] if p["tau_s"] else d_air
-    return np.array([d_air, d_upper, d_wall, d_soil, d_slow, d_element, d_speed, d_sensor])
+    return np.array([d_air, d_upper, d_wall, d_soil, d_element, d_speed, d_sensor])
 
 
 def shown(effects, start, duty, fan, columns, step_s=60.0):

@@ -20,7 +20,6 @@ class ParameterKind(Enum):
     LAG = "other time constant [s]"
     DEAD_TIME = "delay [s], whose starts go with the length of a row"
     AIR_CAPACITIES = "heat capacity, in times the air's own"
-    ROOM_LOSS = "conductance from the air to the room [W/K]"
     TURNING_POINT = (
         "air temperature [°C] about which the effect turns; a fit begins in the middle of the runs"
     )

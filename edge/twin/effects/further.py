@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.twin.effects.effect import Effect, EffectParameter, Offer, ParameterKind, by_name
+from edge.twin.effects.effect import Effect, EffectParameter, Offer, by_name
 from edge.twin.network import AIR, ROOM, Network
 from edge.twin.signals import Floats, HeatConditions
 
@@ -18,12 +18,6 @@ def ground_loss(network: Network, G_g: float, T_g: float) -> None:
     """Heat into what the box stands on, at a temperature of its own: Q = -G_g (T - T_g)."""
     network.connect(AIR, ROOM, G_g)
     network.heat(lambda now: G_g * (T_g - now.ambient))
-
-
-def slow_mass(network: Network, C_m: float, G_m: float) -> None:
-    """A further body beside the soil, slower than it: C_m dT_m/dt = G_m (T - T_m)."""
-    network.add_node("slow", C_m)
-    network.connect(AIR, "slow", G_m)
 
 
 def stack_ventilation(network: Network, F_st: float) -> None:
@@ -66,14 +60,6 @@ FURTHER_EFFECTS: Mapping[str, Effect] = by_name(
         offer=Offer.KNOWN_ONLY,
     ),
     Effect(
-        slow_mass,
-        (EffectParameter("C_m", "J/K", 100.0, 1e7, 60000.0), EffectParameter("G_m", "W/K", 0.01, 500.0, 2.0)),
-        source="medium node (TiTm), Bacher & Madsen 2011, Energy and Buildings 43",
-        without="follows the change of T over a day: a loss that suits the first hours is too large later",
-        offer=Offer.KNOWN_ONLY,
-        time_constant=("C_m / G_m", lambda own: own["C_m"] / own["G_m"]),
-    ),
-    Effect(
         stack_ventilation,
         (EffectParameter("F_st", "m³/s", 0.0, 0.05, 0.001),),
         source="stack effect through openings, ASHRAE Fundamentals 2017, ch. 16",
@@ -82,7 +68,7 @@ FURTHER_EFFECTS: Mapping[str, Effect] = by_name(
     ),
     Effect(
         natural_convection,
-        (EffectParameter("G_nc", "W/K", 0.0, 100.0, 3.0, ParameterKind.ROOM_LOSS),),
+        (EffectParameter("G_nc", "W/K", 0.0, 100.0, 3.0),),
         source="turbulent natural convection at a wall, Nu ~ Ra^(1/3), Incropera & DeWitt, ch. 9",
         without="falls with the power 4/3 of T - T_amb",
         offer=Offer.KNOWN_ONLY,

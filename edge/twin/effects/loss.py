@@ -117,7 +117,7 @@ _SLOW_BODY = (HiddenBy(BlindRuns.ROOM_STEADY_BODIES), HiddenBy(BlindRuns.SHORT, 
 LOSS_EFFECTS: Mapping[str, Effect] = by_name(
     Effect(
         wall_loss,
-        (EffectParameter("UA", "W/K", 0.0, 100.0, 4.0, ParameterKind.ROOM_LOSS),),
+        (EffectParameter("UA", "W/K", 0.0, 100.0, 4.0),),
         source="thermal transmittance, ISO 6946",
         without="falls with T - T_amb: a warm box is predicted too warm, and ever more with the fan off",
         starts=({"UA": 1.0},),

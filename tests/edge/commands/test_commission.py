@@ -4,7 +4,6 @@ import math
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -309,12 +308,6 @@ class FoundTwins:
 
     test_k: dict[str, float]
     adopted: object = field(default_factory=lambda: read_twin_file(TWIN))
-    provenance: dict[str, object] = field(default_factory=dict)
-
-    @property
-    def inputs(self) -> object:
-        effects = {"wall_loss": {"UA": Value(2.0)}}
-        return SimpleNamespace(file=replace(self.adopted, effects=effects, provenance=self.provenance))
 
     @property
     def simple_twins(self) -> dict[str, object]:
@@ -331,15 +324,6 @@ def test_a_simple_twin_is_taken_if_it_halves_the_error_or_makes_it_small_enough(
     assert (set(twin.effects) == {"wall_loss"}) == is_taken
     assert error_k == (simple_k if is_taken else 0.5)
     assert not is_taken or twin.provenance["after"] == {"test": {"rmse_k": simple_k}}
-
-
-@pytest.mark.parametrize(("provenance", "is_kept"), [({"prior": {"kind": "tent"}}, True), ({}, False)])
-def test_the_start_of_a_fleet_is_kept_however_closely_others_follow_an_hour(provenance, is_kept):
-    found = FoundTwins({"before": 1.1, "after": 0.2, "heater lag": 0.01}, provenance=provenance)
-    twin, error_k = commission.chosen_twin(found, 1.0)
-    assert (twin.effects == {"wall_loss": {"UA": Value(2.0)}}) == is_kept
-    assert error_k == (1.1 if is_kept else 0.01)
-    assert ("prior" in twin.provenance) == is_kept
 
 
 @pytest.mark.parametrize(("arx_k", "better"), [(0.39, ("ARX 2", 0.39)), (0.41, None)])

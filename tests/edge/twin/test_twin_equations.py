@@ -13,7 +13,6 @@ SINGLE = {
     "infiltration": {"F_inf": 0.003},
     **WALL,
     **SOIL,
-    "slow_mass": {"C_m": 90000.0, "G_m": 2.0},
     "extra_capacity": {"kC": 4.0},
     "heater_lag": {"tau_h": 200.0},
     "heater_deadtime": {"d_h": 85.0},
