@@ -39,7 +39,7 @@ lint: $(VENV)/dev.installed
 docs: $(VENV)/docs.installed
 	$(BIN)/python -m mkdocs build --strict $(ARGS)
 
-bench: $(VENV)/bench.installed tools
+bench: $(VENV)/dev.installed tools
 	$(BIN)/python -m bench $(ARGS)
 
 model: $(VENV)/edge.installed

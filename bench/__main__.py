@@ -26,32 +26,19 @@ class Bench:
 
 
 BENCHES = {
-    "mpc": Bench(("--instances", "5", "--peer-seconds", "0.05", "--references", "1")),
-    "mutants": Bench(("edge.safety.relay_proof", "--count", "2")),
     "daemon": Bench(("--seconds", "15", "--starts", "2", "--hours", "1")),
     "kills": Bench(("--kills", "5")),
     "outbox": Bench(("--ticks", "1000", "--kills", "2")),
-    "resolve_alias": Bench(("heater_saturation",)),
     "example_diagnosis": Bench(
         ("--out", "out/bench/example_diagnosis.txt", "--images", "out/bench"), keeps_its_table=True
     ),
-    "clairvoyant": Bench(("--references", "tuning_1", "--minutes", "10")),
-    "diagnosis_memory": Bench(("--days", "0.5")),
-    "history_year": Bench(("--days", "3", "--hours", "0.5", "--file", "out/bench/history_days.db")),
     "page_attack": Bench(("--seconds", "5", "--rounds", "1")),
-    "page_cost": Bench(("--days", "40", "--repeats", "1", "--ticks", "20")),
     "attack": Bench(("--share", "0.01")),
-    "dqn": Bench(("--share", "0.002", "--seeds", "1", "--steps", "2000")),
     "drift_alarms": Bench(("--paths", "5", "--days", "6", "--boxes", "1")),
-    "twin": Bench(("--repeats", "3")),
-    "rollout": Bench(("--seconds", "0.3")),
-    "real_logs": Bench(("--out", "out/bench", "--images", "out/bench"), keeps_its_table=True),
     "real_truth": Bench(("--only", "energy balance")),
     "board_fuzz": Bench(("--bytes", "3e6")),
     "fleet_rollout": Bench(("--seeds", "1")),
     "boxes": Bench(("--boxes", "9", "--rows", "PID", "MPC-Twin-P")),
-    "house": Bench(()),
-    "what_if": Bench(("--seeds", "1", "--boxes")),
     "unchanged": Bench(("--only", "golden vectors"), keeps_its_table=True),
 }  # fmt: skip
 

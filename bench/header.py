@@ -17,13 +17,9 @@ MEASURED: Mapping[str, tuple[str, ...]] = {  # bench -> the code that its figure
     "attack": ("edge", "firmware_protocol", "bench/attack", "bench/kills.py"),
     "kills": ("edge", "firmware_protocol", "bench/kills.py"),
     "daemon": ("edge", "firmware_protocol", "bench/daemon.py", "bench/default_daemon.py"),
-    "mpc": ("edge/controllers", "edge/models/arx.py", "bench/mpc.py", "bench/two_node_box.py"),
     "outbox": ("edge/mqtt", "edge/storage", "edge/formats/tick_json.py", "bench/outbox.py"),
     "page_attack": ("edge/page", "edge/sockets", "edge/tick/loop.py", "bench/page_attack.py"),
-    "page_cost": ("edge/page", "edge/storage/run_rows.py", "edge/storage/schema.py", "bench/page_cost.py"),
     "real_truth": ("edge/twin", "edge/diagnosis", "bench/real_truth"),
-    "rollout": ("edge/models", "edge/twin", "bench/rollout.py"),
-    "twin": ("edge/twin", "bench/twin.py"),
 }
 _COMMIT = re.compile(r"^commit ([0-9a-f]{7,40})", re.MULTILINE)
 

@@ -16,16 +16,16 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from bench.hidden_effects.chamber_box import THIN_WALLS, Settings, calibrate
-from bench.resolve_alias import chamber_document, quiet_plan
+from bench.hidden_effects.chamber_box import BASE, LEAD_ROWS, THIN_WALLS, RunPlan, Settings, calibrate
 from edge.__main__ import main as greenhouse
 from edge.core.errors import GreenhouseError
 from edge.formats.number_table import write_table
 from edge.formats.run_file import read_run, write_run
 from edge.tick.sensor_health import AVERAGE_S
+from firmware_protocol.virtual_board.effects import EFFECT_NAMES
 
 EXAMPLE = Path(__file__).parent.parent / "docs" / "examples" / "diagnosis"
-STEP_S, STEP_K, REST_MIN = 60.0, 0.1, 10
+STEP_S, STEP_K, REST_MIN, ROOM_C = 60.0, 0.1, 10, 21.2
 COLUMNS = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
 FACTS = ("start_utc", "rig", "role", "seed", "notes")
 
@@ -101,6 +101,32 @@ def _twin_text() -> str:
         "# What its owner knows of the box: calibrated when it was new. Both dead times are half of the\n"
         f"# {AVERAGE_S:g} s that a reading is the mean of.\n"
     ) + yaml.safe_dump(document, sort_keys=False)
+
+
+def quiet_plan(seed: int) -> RunPlan:
+    """Two hours in which heater and fan switch at random, to calibrate a twin on."""
+    random = np.random.default_rng(seed)
+    duty, fan = np.repeat(random.uniform(0.0, 0.7, 12), 10), np.repeat(random.integers(0, 2, 12), 10)
+    before = np.zeros(LEAD_ROWS)
+    return RunPlan(
+        np.concatenate([before, duty]),
+        np.concatenate([before, fan.astype(np.float64)]),
+        np.zeros(LEAD_ROWS + len(duty)),
+        day=0.0,
+        hour=10.0,
+        room_c=ROOM_C,
+        seed=seed,
+    )
+
+
+def chamber_document(settings: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Return a chamber file for the virtual board, whose relay makes the duty: unset effects are off."""
+    document: dict[str, dict[str, float]] = {"effects": dict.fromkeys(EFFECT_NAMES, 0.0)}
+    for place, value in {**BASE, **settings}.items():
+        section, _, key = place.partition(".")
+        document.setdefault(section, {})[key] = float(value)
+    del document["heater"]["duty_window_s"]  # the board's own
+    return document
 
 
 def _value(effect: str, value: float) -> object:

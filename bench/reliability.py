@@ -1,17 +1,20 @@
 """python -m bench.reliability PLACE... --out PICTURE: how often names held that were said with a probability.
 
-PLACE is a folder of answers as `bench.calibrate` takes it, with a name before it: `foreign=DIR/scored`,
-`equations=ANSWERS:TRUTHS`, `measured=DIR`. Each name that stood counts once. Printed and drawn: by bins, what
-was said in the mean, what held with its 95 % interval, and of how many.
+PLACE is a folder of answers with a name before it: of `bench.foreign` (`foreign=DIR/scored`, with truth and
+answers) or of `bench.real_truth --out DIR` (`measured=DIR`). Each name that stood counts once. Printed and
+drawn: by bins, what was said in the mean, what held with its 95 % interval, and of how many.
 """
 
 import argparse
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from bench.calibrate import documents
-from bench.foreign.score import bins, calibration_error
+from bench.foreign.score import bins, calibration_error, match_names
 from bench.hidden_effects.wilson import share
+from bench.real_truth.__main__ import folder_name, is_true
+from bench.real_truth.logs import LOGS
 
 Statements = list[tuple[float, bool]]
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
@@ -36,9 +39,31 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _statements(place: str) -> Iterator[tuple[float, bool]]:
-    for document, right in documents(place):
+    folder = Path(place)
+    answers = _answers if (folder / "truth").is_dir() else _measured_answers
+    for document, right in answers(folder):
         for item, is_right in zip(document["effects"], right, strict=True):
             yield item["probability"], is_right
+
+
+def _answers(folder: Path) -> Iterator[tuple[dict[str, Any], list[bool]]]:
+    """Yield the answers about simulated cases, and which of their names are right, by class."""
+    for path in sorted(folder.glob("answers/*/diagnosis.json")):
+        document, truth = (
+            json.loads(file.read_text(encoding="utf-8"))
+            for file in (path, folder / "truth" / f"{path.parent.name}.json")
+        )
+        names = [item["name"] for item in document["effects"]]
+        yield document, list(match_names(names, list(truth["hidden"])))
+
+
+def _measured_answers(folder: Path) -> Iterator[tuple[dict[str, Any], list[bool]]]:
+    """Yield the answers about logs with known contents."""
+    for log in LOGS:
+        path = folder / "answers" / folder_name(log) / "diagnosis.json"
+        if path.exists():
+            document = json.loads(path.read_text(encoding="utf-8"))
+            yield document, [is_true(log, item["name"]) for item in document["effects"]]
 
 
 def _lines(name: str, told: Statements) -> Iterator[str]:

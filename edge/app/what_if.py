@@ -37,7 +37,7 @@ LOSS_MIN = 0.2  # of the fit's, where heat of no known cause would leave nothing
 STEPS = 9  # of air temperatures at which that heat is looked at
 SEEN_MIN_K = 5.0  # over the room; a box in tests is warmed by more
 # Leaks, seams and the floor are walls to a fit; so are films, which do not change with the thickness as ISO
-# 6946 has them. Of the virtual board's chamber two thirds are conducted (bench/what_if.py).
+# 6946 has them. Of the virtual board's chamber two thirds are conducted (bench/what_if.py at 02ed168c).
 WALL_SHARE_MIN = 1.0 / 3.0
 WALL_KNOWN = 3.0  # times, from end to end of an interval of the walls' loss
 WALL_PLACES: tuple[Place, ...] = tuple(("effects", effect, key) for effect, key in WALL_CONDUCTANCES)

@@ -20,8 +20,8 @@ from edge.diagnosis.trial import FittedTwin
 from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.value import SDS_95, Value
 
-# As bench.calibrate printed them for 158 names of simulated cases and 5 of measured logs, which count thrice:
-# intercept, and slopes of `evidence`.
+# As `python -m bench.calibrate` at commit 02ed168c printed them for 158 names of simulated cases and 5 of
+# measured logs, which count thrice: intercept, and slopes of `evidence`.
 INTERCEPT, NATS, RATIO = -2.86, 1.06, 1.03
 MOST_SURE = 0.99  # no more can be learnt from so many cases
 LIKELY = 0.4  # below it a name is only listed
@@ -40,8 +40,8 @@ def probability(numbers: tuple[float, float]) -> float:
     return min(MOST_SURE, 1.0 / (1.0 + math.exp(-odds)))
 
 
-# In development cases (bench/hidden_effects) right names left 0.37 or less; 0.50 and 0.70 were left by wrong
-# ones, where the declared noise could not be made to cover what they do not explain.
+# In development cases (bench/hidden_effects at commit 02ed168c) right names left 0.37 or less; 0.50 and 0.70
+# were left by wrong ones, where the declared noise could not be made to cover what they do not explain.
 REFUTED = 0.45
 NOTHING = "none"  # that an unknown effect depends on
 

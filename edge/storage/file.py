@@ -64,7 +64,7 @@ def _read_slice(connection: sqlite3.Connection, table: str, key: str, below: flo
 
 WAL_MAX_BYTES = 4 << 20  # a write-ahead log that grew longer is cut back
 # Of a new file. A tick touches fifteen pages and changes some hundred bytes in each; each page it touches
-# goes to the card twice, by the log and by the file. Larger pages write more, see `bench.card_writes`.
+# goes to the card twice, by the log and by the file. Larger pages write more (docs/measured/rig.md).
 PAGE_BYTES = 512
 CHECKPOINT_BYTES = 3 << 20  # a longer log writes a page that changes often fewer times into the file
 # A log that grows makes the file system record its new length at every commit: two fifths of all writes.

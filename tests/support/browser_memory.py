@@ -49,11 +49,6 @@ def courses(driver: WebDriver) -> int:
     return int(driver.execute_script("return window.courses"))
 
 
-def wait_for_pushes(driver: WebDriver, count: int) -> None:
-    """Return once so many views have come."""
-    _wait(pushes, driver, count)
-
-
 def wait_for_courses(driver: WebDriver, count: int) -> None:
     """Return once so many courses have come. A page asks for one when no new tick has come for a moment."""
     _wait(courses, driver, count)

@@ -9,12 +9,12 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from socketserver import StreamRequestHandler, ThreadingUnixStreamServer
 from typing import Any
 
-from bench.history_year import move
-from edge.core.messages import TickRecord
+from edge.core.messages import Event, Severity, TickRecord
 from edge.formats.reader import parse_json
 from edge.sockets.client import encode_line
 from edge.storage.file import connect
@@ -24,6 +24,9 @@ from edge.tick.status import LoopStatus, status_json
 from tests.support.broker import free_port
 from tests.support.page_process import PageProcess
 
+STEP_S = 60.0
+FIRST_UTC = datetime(2026, 1, 1, tzinfo=UTC).timestamp()
+EVENT_EVERY_TICKS = 30  # one made-up warning, and its end at the next tick
 LINES = tuple(
     f"{number}. MPC-P wanted heater 0.35, fan off. Its plan costs 0.42: tracking 0.3." for number in range(12)
 )
@@ -31,6 +34,16 @@ _LOOK_OFTEN = (
     "import sys; from edge.page import rig_link; rig_link.WATCHED_S = float(sys.argv[2]);"
     " from edge.page.__main__ import main; sys.exit(main(sys.argv[1]))"
 )
+
+
+def move(record: TickRecord, seq: int) -> TickRecord:
+    """Return a tick as number `seq`."""
+    utc = FIRST_UTC + STEP_S * seq
+    events = tuple(replace(event, utc=utc) for event in record.events)
+    if seq % EVENT_EVERY_TICKS < 2:
+        over = ".over" if seq % EVENT_EVERY_TICKS else ""
+        events += (Event(f"reading.not_good{over}", Severity.WARNING, "spike", 0.0, utc),)
+    return replace(record, seq=seq, utc=utc, time_s=STEP_S * seq, events=events)
 
 
 class QuickDaemon(ThreadingUnixStreamServer):

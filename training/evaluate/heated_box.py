@@ -2,8 +2,8 @@
 
 14 runs of a plywood box with a heating plate, ten minutes each (ESPerimentino PID, repository
 grobx/unimi-embedded-project, CC BY 4.0); not part of this repository. The first five by date train, the next
-three validate, six are only forecast: the split of `bench/real_logs.py`. What these logs can't tell: the fan
-was always on, so it is no input; the room was not measured, so one constant is fitted for all runs.
+three validate, six are only forecast. What these logs can't tell: the fan was always on, so it is no input;
+the room was not measured, so one constant is fitted for all runs.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -13,10 +13,7 @@ from bench.boxes.reach import reach, scaled_reference
 ALL = (*DEVELOPMENT, *SCORED)
 
 # They drive the boxes by the daemon and its controllers; what a box is knows nothing of them.
-DRIVERS = {
-    *("__main__.py", "bodies.py", "clairvoyant.py", "days.py", "fleet.py", "ideal.py", "own_data.py"),
-    *("pilot.py", "pulses.py", "thirty_hours.py", "tuned_pid.py"),
-}
+DRIVERS = {"__main__.py", "clairvoyant.py", "pulses.py", "tuned_pid.py"}
 
 
 def boxes(seeds: tuple[int, ...]) -> list[BoxFacts]:

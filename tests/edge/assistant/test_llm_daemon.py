@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 from llm_parts import KEY, UTC, settings
 
-from bench.llm_closed_loop import REFERENCE_C, YAML, run
 from edge.assistant.llm.budget import Spending
 from edge.assistant.llm.language_model import open_language_model
 from edge.core.controller_names import LLM
 from edge.core.errors import ConfigError
 from edge.core.messages import TickRecord
 from edge.sockets.client import request
+from tests.support.llm_closed_loop import REFERENCE_C, YAML, run
 from training.lab import Lab
 from training.llm_stand_in.server import StandIn
 

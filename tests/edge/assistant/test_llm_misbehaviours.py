@@ -11,8 +11,8 @@ from itertools import cycle
 import numpy as np
 import pytest
 
-from bench.llm_closed_loop import REFERENCE_C, YAML, RunRemains, run
 from edge.core.messages import TickRecord
+from tests.support.llm_closed_loop import REFERENCE_C, YAML, RunRemains, run
 from training.lab import Lab
 from training.llm_stand_in.server import StandIn
 

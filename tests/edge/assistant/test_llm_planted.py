@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from bench.llm_closed_loop import YAML, RunRemains, run
 from edge.storage.file import connect
+from tests.support.llm_closed_loop import YAML, RunRemains, run
 from training.llm_stand_in.agent import results
 from training.llm_stand_in.server import StandIn
 

@@ -1,9 +1,5 @@
-"""edge/diagnosis/verdict.py: how sure a name is, and bench/calibrate.py, which learns it."""
+"""edge/diagnosis/verdict.py: how sure a name is."""
 
-import numpy as np
-import pytest
-
-from bench.calibrate import fit_curve
 from edge.diagnosis.verdict import MOST_SURE, evidence, probability
 
 
@@ -24,12 +20,3 @@ def test_nothing_is_certain() -> None:
 def test_odd_numbers_are_no_error() -> None:
     for numbers in ((0.0, 0.0, 1.0), (1.0, 1e-12, 1.0), (-1.0, 1e9, 1.0)):
         assert 0.0 <= probability(evidence(*numbers)) <= MOST_SURE
-
-
-def test_a_slope_never_has_the_wrong_sign() -> None:
-    draw = np.random.default_rng(1)
-    numbers = draw.normal(size=(300, 2))
-    right = draw.random(300) < 1.0 / (1.0 + np.exp(-(1.0 + 2.0 * numbers[:, 0] - numbers[:, 1])))
-    weights = fit_curve(numbers, right)
-    assert weights[1] == pytest.approx(2.0, abs=0.7)
-    assert weights[2] == pytest.approx(0.0, abs=1e-6)
