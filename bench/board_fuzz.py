@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from firmware_protocol.board_block import NO_PIN, BoardBlock, BoardKind, Part, PartConfig, encode_block
-from firmware_protocol.virtual_board.c_core import SOURCES, compile_board
+from tests.support.c_core import SOURCES, compile_board
 
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 _OUTPUTS = (7, 8, 9, 10, 11)

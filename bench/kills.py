@@ -34,7 +34,7 @@ from edge.core.processes import die_with_parent
 from edge.formats.atomic_file import write_document
 from edge.sockets.client import request
 from tests.support.broker import MOSQUITTO, Broker, Listener, wait_for
-from tests.support.virtual_board import VirtualBoard, virtual_board
+from tests.support.virtual_board import CORES, VirtualBoard, virtual_board
 from training.lab import Lab
 
 RIG = "greenhouse/rig-1"
@@ -228,7 +228,7 @@ def _configuration(folder: Path, port: int) -> dict[str, Any]:
 def rig_in(folder: Path, core: str) -> Iterator[KilledRig]:
     """Yield a running board and a broker where mosquitto is installed; no daemon yet."""
     with ExitStack() as stack:
-        options = ("--core", core, "--fan-safe-on", "--with", "heater_cutoff")
+        options = ("--core", CORES[core], "--fan-safe-on", "--with", "heater_cutoff")
         board = stack.enter_context(virtual_board(folder, *options))
         listener, port = None, 0
         if MOSQUITTO is not None:
@@ -376,7 +376,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.kills", description=__doc__)
     parser.add_argument("--kills", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--core", choices=("python", "c"), default="python", help="of the virtual board")
+    parser.add_argument("--core", choices=tuple(CORES), default="python", help="of the virtual board")
     parser.add_argument(
         "--nursery", nargs=2, type=Path, metavar=("CONFIG", "CONTROL"), help=argparse.SUPPRESS
     )

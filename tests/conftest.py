@@ -5,22 +5,34 @@ The files that take longest begin first, so that no worker ends with one while t
 
 import os
 import subprocess
+import tempfile
 from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from tests.support.builds import FOLDER_VARIABLE, built
+
 LONGEST_FIRST = (
     *("test_closed_loop", "test_nightly_for_real", "test_control_clairvoyant", "test_resolve_alias"),
     *("test_no_false_alarms", "test_whole_daemon", "test_llm_misbehaviours", "test_safety_mutation"),
 )
 
+AVR_HOST_SOURCE = Path(__file__).parent / "firmware_protocol" / "avr" / "avr_host.c"
 LACKS = ("is not installed", "is missing", "apt install", "could not import")  # reasons to skip a test
 
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("person", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "person")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """One folder for what is compiled; the workers inherit its name from the process that starts them."""
+    if FOLDER_VARIABLE not in os.environ:
+        folder = tempfile.TemporaryDirectory(prefix="greenhouse-builds-")
+        os.environ[FOLDER_VARIABLE] = folder.name
+        config.add_cleanup(folder.cleanup)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -40,10 +52,11 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 
 
 @pytest.fixture(scope="session")
-def avr_host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def avr_host() -> Path:
     """The program that runs a board's program in simavr."""
-    target = tmp_path_factory.mktemp("avr") / "avr_host"
+    return built("avr_host", compile_avr_host, [AVR_HOST_SOURCE])
+
+
+def compile_avr_host(target: Path) -> None:
     flags = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror"]
-    source = Path(__file__).parent / "firmware_protocol" / "avr" / "avr_host.c"
-    subprocess.run(["gcc", *flags, str(source), "-lsimavr", "-lelf", "-o", str(target)], check=True)
-    return target
+    subprocess.run(["gcc", *flags, str(AVR_HOST_SOURCE), "-lsimavr", "-lelf", "-o", str(target)], check=True)

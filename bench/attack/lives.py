@@ -24,6 +24,7 @@ from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.messages import TickRecord
+from tests.support.virtual_board import CORES
 from tests.support.watched_clock import Look, TimedRequest, WatchedClock, look_at
 from training.lab import Lab
 
@@ -69,7 +70,7 @@ def run(plan: AttackPlan, folder: Path) -> Outcome:
     script, box = folder / "faults.yaml", folder / "chamber.yaml"
     script.write_text(yaml.safe_dump([dict(fault) for fault in plan.faults]))
     box.write_text(yaml.safe_dump(dict(plan.chamber)))
-    options = ("--core", plan.core, "--faults", str(script), "--chamber", str(box))
+    options = ("--core", CORES[plan.core], "--faults", str(script), "--chamber", str(box))
     settings = settings_in(folder, config.parse(yaml.safe_dump(dict(plan.settings)), "attack"))
     looks: list[Look] = []
     given: list[AnsweredOrder] = []

@@ -13,6 +13,7 @@ from firmware_protocol.messages import Capability, ResetCause
 from firmware_protocol.virtual_board.board_config import RIG_PARTS, BoardConfig
 from firmware_protocol.virtual_board.chamber import Chamber
 from firmware_protocol.virtual_board.chamber_parameters import load
+from firmware_protocol.virtual_board.core import BoardCore
 from firmware_protocol.virtual_board.device import Boot, Core, Device
 from firmware_protocol.virtual_board.faults import FaultError, read_script
 from firmware_protocol.virtual_board.plant import Plant
@@ -73,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--core",
         default="python",
-        help="python; c, which needs a compiler; or MODULE:FUNCTION of another one",
+        help="python, or MODULE:FUNCTION of another one",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the chamber and of the faults")
     parser.add_argument("--real-time", action="store_true", help="else time moves only when told")
@@ -107,12 +108,8 @@ def _boot(core: str, config: BoardConfig) -> Boot:
     if function:
         made: Boot = getattr(importlib.import_module(module), function)(config)
         return made
-    if core == "c":
-        from firmware_protocol.virtual_board.c_core import CBoardCore as BoardCore
-    elif core == "python":
-        from firmware_protocol.virtual_board.core import BoardCore  # type: ignore[assignment]
-    else:
-        raise ValueError(f"--core {core}: neither python nor c nor MODULE:FUNCTION")
+    if core != "python":
+        raise ValueError(f"--core {core}: neither python nor MODULE:FUNCTION")
 
     def boot(persistent: bytes, cause: ResetCause, boot_count: int) -> Core:
         return BoardCore(config, persistent, cause, boot_count)

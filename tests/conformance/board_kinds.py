@@ -8,7 +8,8 @@ from block_slots import BlockSlots
 
 from firmware_protocol.board_block import BoardKind
 from firmware_protocol.virtual_board.board_config import BoardConfig
-from firmware_protocol.virtual_board.c_core import (
+from firmware_protocol.virtual_board.core import BoardCore, Pins
+from tests.support.c_core import (
     SIGNALS,
     compile_board,
     raw_config,
@@ -16,7 +17,6 @@ from firmware_protocol.virtual_board.c_core import (
     raw_sample,
     store_of,
 )
-from firmware_protocol.virtual_board.core import BoardCore, Pins
 
 STRICT = ("-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic")
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

@@ -22,7 +22,7 @@ import pytest
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
-from firmware_protocol.virtual_board import c_core  # noqa: E402
+from tests.support import c_core  # noqa: E402
 
 FILES = ["gh_frame.c", "gh_safety.c", "gh_board.c"]
 SOURCES = c_core.SOURCES

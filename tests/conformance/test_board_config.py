@@ -9,7 +9,7 @@ from board_bench import HEAT, BoardBench
 from firmware_protocol.errors import LocalProtocolError
 from firmware_protocol.messages import Capability, Hello, StateEcho
 from firmware_protocol.virtual_board.board_config import BoardConfig
-from firmware_protocol.virtual_board.c_core import BLANK, CBoardCore, _Config
+from tests.support.c_core import BLANK, CBoardCore, CConfig
 
 NUMBERS = ["lease_max_s", "temp_trip_c", "valve_pulse_max_s", "pwm_window_s", "report_period_s"]
 LOWEST = dict(zip(NUMBERS, (0.1, 0.0, 0.0, 1.0, 0.1), strict=True))
@@ -23,7 +23,7 @@ class RawBoard(CBoardCore):
     def __init__(self, raw: dict[str, int], persistent: bytes, reset_cause: int, boot_count: int) -> None:
         super().__init__(BoardConfig(), b"", 0, 0)
         self.transmit()
-        config = _Config(capabilities=0x3FF, **raw)
+        config = CConfig(capabilities=0x3FF, **raw)
         self._library.gh_board_init(self._board, ctypes.byref(config), BLANK, reset_cause, boot_count)
         self._drain()
 

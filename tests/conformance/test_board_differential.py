@@ -22,8 +22,8 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.board_samples import SIGNALS
-from firmware_protocol.virtual_board.c_core import CBoardCore
 from firmware_protocol.virtual_board.core import BoardCore
+from tests.support.c_core import CBoardCore
 
 configs = st.builds(
     BoardConfig,

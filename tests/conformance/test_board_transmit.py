@@ -6,7 +6,7 @@ from board_bench import CONFIG
 
 from firmware_protocol.frame import FrameDecoder, encode
 from firmware_protocol.messages import ErrorMessage, Hello, HelloRequest, Ping, StateEcho, pack, unpack
-from firmware_protocol.virtual_board.c_core import CBoardCore
+from tests.support.c_core import CBoardCore
 
 TRANSMIT_SIZE = 192
 HELLO, PING = encode(pack(HelloRequest(1), 1)), encode(pack(Ping(), 2))

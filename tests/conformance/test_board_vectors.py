@@ -12,7 +12,7 @@ from board_kinds import SANITIZERS, STRICT
 import firmware_protocol
 from firmware_protocol.frame import encode
 from firmware_protocol.messages import PROTOCOL_VERSION, BlockPart, ErrorCode, Hello, StateEcho, WirePart
-from firmware_protocol.virtual_board.c_core import compile_board, load_board
+from tests.support.c_core import compile_board, load_board
 
 VECTORS = json.loads((Path(firmware_protocol.__file__).parent / "vectors.json").read_text(encoding="utf-8"))
 FROM_BOARD = {2, 3, 5, 8, 16, 18, 19}

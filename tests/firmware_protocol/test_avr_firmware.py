@@ -43,8 +43,8 @@ from firmware_protocol.messages import (
     unpack,
 )
 from firmware_protocol.virtual_board.board_config import BoardConfig
-from firmware_protocol.virtual_board.c_core import SOURCES
 from firmware_protocol.virtual_board.core import BoardCore
+from tests.support.c_core import SOURCES
 
 pytestmark = pytest.mark.slow
 

@@ -23,7 +23,7 @@ from firmware_protocol.board_block import (
     encode_block,
 )
 from firmware_protocol.frame import crc16
-from firmware_protocol.virtual_board.c_core import load_board
+from tests.support.c_core import load_board
 
 RIG = BoardBlock(
     BoardKind.MEGA2560,

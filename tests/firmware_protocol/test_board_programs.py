@@ -25,7 +25,7 @@ from firmware_protocol.messages import (
     TripCause,
     pack,
 )
-from firmware_protocol.virtual_board.c_core import SOURCES
+from tests.support.c_core import SOURCES
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from firmware_protocol.virtual_board.c_core import SOURCES, CompilerMissing, compile_board
+from tests.support.c_core import SOURCES, CompilerMissing, compile_board
 
 DRIVERS = SOURCES / "drivers"
 CORE_FILES = sorted(SOURCES.glob("gh_*.c"))

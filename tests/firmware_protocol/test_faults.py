@@ -16,12 +16,11 @@ from firmware_protocol.virtual_board.faults import KINDS, FaultError, Schedule, 
 from firmware_protocol.virtual_board.plant import Plant
 from firmware_protocol.virtual_board.port import FaultyLine
 from firmware_protocol.virtual_board.sensors import SensorFaults
-from tests.support.virtual_board import virtual_board
+from tests.support.virtual_board import CORES, on_cores_in_turn, virtual_board
 
 pytestmark = pytest.mark.slow
 
 LEASE_S = 10.0
-CORES = ("python", "c")
 
 
 def fault(name, now_ms=0, seed="0", **keys):
@@ -298,10 +297,9 @@ FATAL = {  # after each of these the heater pin is off within one lease, and sta
 }
 
 
-@pytest.mark.parametrize("core", CORES)
-@pytest.mark.parametrize("name", FATAL)
-def test_the_heater_pin_is_off_within_one_lease(tmp_path, core, name):
-    with virtual_board(tmp_path, "--core", core) as board, LineHost(board) as host:
+@pytest.mark.parametrize(("name", "core"), on_cores_in_turn(FATAL))
+def test_the_heater_pin_is_off_within_one_lease(tmp_path, name, core):
+    with virtual_board(tmp_path, "--core", CORES[core]) as board, LineHost(board) as host:
         host.heat()
         host.serve(30)
         assert board.truth()["pins"]["heater_relay"]
@@ -314,11 +312,10 @@ def test_the_heater_pin_is_off_within_one_lease(tmp_path, core, name):
         assert 29 < truth["heater_pin_last_on_s"] <= 30 + LEASE_S + 0.1
 
 
-@pytest.mark.parametrize("core", CORES)
-@pytest.mark.parametrize("cause", ["external", "watchdog", "brown_out"])
-def test_a_reset_lets_go_at_once_and_heat_comes_back_only_through_a_new_greeting(tmp_path, core, cause):
+@pytest.mark.parametrize(("cause", "core"), on_cores_in_turn(["external", "watchdog", "brown_out"]))
+def test_a_reset_lets_go_at_once_and_heat_comes_back_only_through_a_new_greeting(tmp_path, cause, core):
     entry = {"name": "brown_out", "count": 1} if cause == "brown_out" else {"name": "reset", "cause": cause}
-    with virtual_board(tmp_path, "--core", core) as board, LineHost(board) as host:
+    with virtual_board(tmp_path, "--core", CORES[core]) as board, LineHost(board) as host:
         host.heat()
         host.serve(30)
         board.inject(**entry, boot_time_s=2.0)
@@ -360,7 +357,7 @@ def test_a_board_that_browns_out_faster_than_it_boots_stays_silent(tmp_path):
 @pytest.mark.parametrize("core", CORES)
 def test_the_wrap_of_the_board_clock_disturbs_nothing(tmp_path, core):
     faults = [{"name": "clock_wrap", "before_s": 30}]
-    with virtual_board(tmp_path, "--core", core, faults=faults) as board, LineHost(board) as host:
+    with virtual_board(tmp_path, "--core", CORES[core], faults=faults) as board, LineHost(board) as host:
         host.heat()
         host.serve(60)
         board_ms = [report.board_ms for report in host.reports()]
@@ -385,7 +382,7 @@ def test_a_board_with_a_fast_clock_reports_faster(tmp_path):
 @pytest.mark.parametrize("core", CORES)
 def test_a_board_of_another_protocol_is_refused_by_name_and_never_heats(tmp_path, core):
     faults = [{"name": "other_protocol", "version": 3}]
-    with virtual_board(tmp_path, "--core", core, faults=faults) as board, LineHost(board) as host:
+    with virtual_board(tmp_path, "--core", CORES[core], faults=faults) as board, LineHost(board) as host:
         host.heat()
         host.serve(30)
         refused = host.seen(VersionRefused)
@@ -395,7 +392,7 @@ def test_a_board_of_another_protocol_is_refused_by_name_and_never_heats(tmp_path
 
 @pytest.mark.parametrize("core", CORES)
 def test_over_temperature_trips_whatever_the_host_says(tmp_path, core):
-    with virtual_board(tmp_path, "--core", core) as board, LineHost(board) as host:
+    with virtual_board(tmp_path, "--core", CORES[core]) as board, LineHost(board) as host:
         host.heat()
         host.serve(20)
         board.inject(name="sensor_value", value=45.0, duration_s=5)

@@ -26,7 +26,7 @@ from drivers.library import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.virtual_board.c_core import SOURCES
+from tests.support.c_core import SOURCES
 
 # An assertion of a simulated part fails within a callback of C.
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")]

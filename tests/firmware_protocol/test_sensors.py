@@ -12,7 +12,7 @@ from test_pulse_drivers import ECHO, PIN, TRIGGER, Dht22, Hcsr04
 from firmware_protocol.board_block import BoardBlock, BoardKind, Part, PartConfig, encode_block
 from firmware_protocol.frame import FrameDecoder
 from firmware_protocol.messages import Quality, SensorReport, unpack
-from firmware_protocol.virtual_board.c_core import _Pins
+from tests.support.c_core import CPins
 
 pytestmark = pytest.mark.slow
 
@@ -51,7 +51,7 @@ class BoardRig:
         self.config, self.board, self.sensors = ((ctypes.c_uint64 * 256)() for _ in range(3))
         self.library = drivers()
         self.library.gh_config_read.restype = ctypes.c_bool
-        self.library.gh_board_step.restype = _Pins
+        self.library.gh_board_step.restype = CPins
         self.library.gh_board_transmit.restype = ctypes.c_size_t
         self.buses = Buses(self.i2c.bus, self.wire.bus, self.lines.bus)
         assert self.library.gh_config_read(encode_block(block), BoardKind.UNO, self.config)

@@ -25,11 +25,10 @@ from firmware_protocol.messages import (
     pack,
     unpack,
 )
-from tests.support.virtual_board import VirtualBoard, command, virtual_board
+from tests.support.virtual_board import CORES, VirtualBoard, command, virtual_board
 
 pytestmark = pytest.mark.slow
 
-CORES = ("python", "c")
 NOISE = [
     {"name": "flip_bits", "rate": 0.01},
     {"name": "drop_bytes", "rate": 0.01},
@@ -61,7 +60,7 @@ def refused(directory: Path, *options: str) -> str:
 
 @pytest.mark.parametrize("core", CORES)
 def test_a_host_meets_the_board_and_gets_a_report_a_second(tmp_path, core):
-    with virtual_board(tmp_path, "--core", core) as board, LineHost(board) as host:
+    with virtual_board(tmp_path, "--core", CORES[core]) as board, LineHost(board) as host:
         host.serve(10.5)
         assert len(host.seen(LinkUp)) == 1
         times = [report.board_ms for report in host.reports()]
@@ -71,7 +70,7 @@ def test_a_host_meets_the_board_and_gets_a_report_a_second(tmp_path, core):
 
 @pytest.mark.parametrize("core", CORES)
 def test_heat_warms_the_box_and_the_meters_agree(tmp_path, core):
-    with virtual_board(tmp_path, "--core", core) as board, LineHost(board) as host:
+    with virtual_board(tmp_path, "--core", CORES[core]) as board, LineHost(board) as host:
         host.heat()
         host.serve(600)
         truth = board.truth()
@@ -88,7 +87,7 @@ def test_the_same_seed_and_script_give_the_same_bytes(tmp_path, core):
     for name in ("one", "two"):
         directory = tmp_path / name
         directory.mkdir()
-        options = ("--core", core, "--seed", "7")
+        options = ("--core", CORES[core], "--seed", "7")
         with virtual_board(directory, *options, faults=NOISE) as board, LineHost(board) as host:
             host.heat()
             host.serve(60)
@@ -102,7 +101,7 @@ def test_both_cores_give_the_same_bytes(tmp_path):
     for core in CORES:
         directory = tmp_path / core
         directory.mkdir()
-        with virtual_board(directory, "--core", core, faults=NOISE) as board, LineHost(board) as host:
+        with virtual_board(directory, "--core", CORES[core], faults=NOISE) as board, LineHost(board) as host:
             host.heat()
             host.serve(60)
             runs.append(host.received)
@@ -231,7 +230,7 @@ def test_a_wrong_script_state_or_chamber_is_refused_with_its_place(tmp_path):
 
 @pytest.mark.parametrize("core", CORES)
 def test_a_trip_and_the_boot_count_survive_the_process(tmp_path, core):
-    options = ("--core", core, "--state", str(tmp_path / "state"))
+    options = ("--core", CORES[core], "--state", str(tmp_path / "state"))
     with virtual_board(tmp_path, *options) as board, LineHost(board) as host:
         host.serve(3)
         host._link.request(EmergencyStop(), host.clock.now())

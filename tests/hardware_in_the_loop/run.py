@@ -13,6 +13,7 @@ from edge.board.sim_clock import START_UTC
 from edge.board.virtual_rig import BOARD
 from edge.config import loading as config
 from edge.core.messages import TickRecord
+from tests.support.virtual_board import CORES
 from tests.support.watched_clock import Look, TimedRequest, WatchedClock
 from training.lab import Lab
 
@@ -88,7 +89,7 @@ def run(
         folder=folder,
         chamber=_merged(DRY_SOIL, chamber or {}),
         faults=faults,
-        options=("--core", core, *board),
+        options=("--core", CORES.get(core, core), *board),
         clock=lambda sim: WatchedClock(sim, folder / "daemon.sock", orders, look_s),
     ) as lab:
         lab.run(until_s=end_s)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.support.virtual_board import VirtualBoard, virtual_board
+from tests.support.virtual_board import CORES, VirtualBoard, virtual_board
 
 LEASE_S = 10.0
 SLACK_S = 0.5  # of a busy machine, for looking only
@@ -45,10 +45,10 @@ def rigs(tmp_path):
     """A heating daemon on each board."""
     with ExitStack() as stack:
         pairs = []
-        for core in ("python", "c"):
+        for core in CORES:
             folder = tmp_path / core
             folder.mkdir()
-            board = stack.enter_context(virtual_board(folder, "--real-time", "--core", core))
+            board = stack.enter_context(virtual_board(folder, "--real-time", "--core", CORES[core]))
             daemon = start_daemon(folder)
             stack.callback(daemon.wait)
             stack.callback(daemon.kill)

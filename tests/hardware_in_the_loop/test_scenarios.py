@@ -12,6 +12,8 @@ import pytest
 from run import ScenarioRun, run
 from scenario import FOLDER, Scenario, names, read
 
+from tests.support.virtual_board import on_cores_in_turn
+
 PULSE_STEP_S = 0.1  # the board looks at its valve this often
 HEAT_BEGINS_S = 5.0  # ticks begin 1 s after the start
 SECOND_PULSE_S = 181.0  # the first is at 61 s
@@ -30,8 +32,7 @@ def cases() -> list[tuple[str, str]]:
     if os.environ.get("BOARD_PROGRAMS") == "all":
         return [(name, board) for name in names() if name not in NOT_ON_PROGRAMS for board in PROGRAMS]
     short = [name for name in names() if name != LONG]
-    in_turn = [(name, ("python", "c")[number % 2]) for number, name in enumerate(short)]
-    return in_turn + list(ON_PROGRAMS.items())
+    return on_cores_in_turn(short) + list(ON_PROGRAMS.items())
 
 
 @pytest.mark.timeout(7200 if os.environ.get("BOARD_PROGRAMS") else 600)

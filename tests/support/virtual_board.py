@@ -1,21 +1,29 @@
 """A virtual board's process for tests: ready when it is handed over, surely dead afterwards."""
 
+import itertools
 import json
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
 from edge.core.processes import die_with_parent
 
+T = TypeVar("T")
+CORES = {"python": "python", "c": "tests.support.c_core:boots"}
 READY_S = 20.0  # the C core is compiled first
+
+
+def on_cores_in_turn(cases: Iterable[T]) -> list[tuple[T, str]]:
+    """Each case with one of the two cores, since tests/conformance holds the cores alike."""
+    return list(zip(cases, itertools.cycle(CORES), strict=False))
 
 
 @dataclass(frozen=True)

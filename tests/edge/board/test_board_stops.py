@@ -10,10 +10,9 @@ from edge.board.board import Board
 from edge.board.sim_clock import SimClock
 from edge.core.messages import Command
 from firmware_protocol.messages import ReleaseStop
-from tests.support.virtual_board import VirtualBoard, virtual_board
+from tests.support.virtual_board import CORES, VirtualBoard, virtual_board
 
 EVERYTHING = Command(heater_duty=1.0, fan_on=True, led=0.5, valve_pulse_s=0.0)
-CORES = ("python", "c")
 STOPS = {"emergency_stop": ("emergency_stop", "release_stop"), "maintenance": ("maintain", "end_maintenance")}
 stops = pytest.mark.parametrize("cause", STOPS)
 cores = pytest.mark.parametrize("core", CORES)
@@ -50,7 +49,7 @@ def moved_since(started: VirtualBoard, since_s: float) -> list[str]:
 
 
 def rig(tmp_path: Path, core: str = "python") -> object:
-    return virtual_board(tmp_path, "--core", core, "--fan-safe-on")
+    return virtual_board(tmp_path, "--core", CORES[core], "--fan-safe-on")
 
 
 @cores

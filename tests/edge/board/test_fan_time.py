@@ -5,7 +5,7 @@ from test_board_stops import host, serve
 
 from edge.core.messages import Command
 from firmware_protocol.messages import Capability
-from tests.support.virtual_board import virtual_board
+from tests.support.virtual_board import CORES, virtual_board
 
 STEP_S = 12.0
 
@@ -14,10 +14,10 @@ def fan_is_on(started) -> bool:
     return bool(started.truth()["pins"]["fan"])
 
 
-@pytest.mark.parametrize("core", ["python", "c"])
+@pytest.mark.parametrize("core", CORES)
 @pytest.mark.parametrize("is_timed", [True, False])
 def test_the_fan_is_on_for_its_share_and_then_off(tmp_path, core, is_timed):
-    with virtual_board(tmp_path, "--core", core) as started, host(started) as board:
+    with virtual_board(tmp_path, "--core", CORES[core]) as started, host(started) as board:
         serve(board, 3.0)
         assert Capability.FAN_TIME in Capability(board.hello.capabilities)
         if not is_timed:

@@ -4,14 +4,14 @@ import ctypes
 import functools
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
 import pytest
 
-from firmware_protocol.virtual_board.c_core import SOURCES
+from tests.support.builds import built
+from tests.support.c_core import SOURCES
 
 DRIVERS = SOURCES / "drivers"
 OK, SILENT, STUCK, SLOW = range(4)
@@ -73,17 +73,18 @@ class Measurement(ctypes.Structure):
 
 @functools.cache
 def drivers() -> ctypes.CDLL:
-    """All drivers, compiled once a process, undefined behaviour ends it."""
+    """All drivers; undefined behaviour ends the process."""
     if shutil.which("gcc") is None:
         pytest.fail("gcc is missing: `make test` installs it")
+    return ctypes.CDLL(str(built("drivers.so", compile_drivers, SOURCES.rglob("gh_*"))))
+
+
+def compile_drivers(target: Path) -> None:
     sources = sorted(map(str, [*SOURCES.glob("gh_*.c"), *DRIVERS.glob("*.c")]))
     flags = ["-std=c11", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-pedantic", "-fPIC"]
     flags += ["-shared", "-fsanitize=undefined", "-fno-sanitize-recover=all"]
     flags += ["-I", str(SOURCES), "-I", str(DRIVERS)]
-    with tempfile.TemporaryDirectory(prefix="greenhouse-drivers-") as folder:  # may go once it is mapped
-        target = Path(folder) / "drivers.so"
-        subprocess.run(["gcc", *flags, *sources, "-o", str(target)], check=True)
-        return ctypes.CDLL(str(target))
+    subprocess.run(["gcc", *flags, *sources, "-o", str(target)], check=True)
 
 
 class SimulatedI2c:

@@ -1,21 +1,26 @@
-"""The board of `firmware_protocol/c`, with the same calls as `core.BoardCore`. Needs a C compiler."""
+"""The board of `firmware_protocol/c`, with the same calls as `core.BoardCore`. Needs a C compiler.
+
+python -m firmware_protocol.virtual_board --core tests.support.c_core:boots ...
+"""
 
 import ctypes
 import functools
 import os
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+import firmware_protocol
 from firmware_protocol.messages import LAYOUTS, Hello, ResetCause
 from firmware_protocol.virtual_board import board_samples
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.board_outputs import Pins
 from firmware_protocol.virtual_board.board_samples import to_raw
+from firmware_protocol.virtual_board.device import Boot, Core
+from tests.support.builds import built
 
-SOURCES = Path(__file__).parents[1] / "c"
+SOURCES = Path(firmware_protocol.__file__).parent / "c"
 SIGNALS = tuple(board_samples.SIGNALS)  # in the order of gh_signal
 BLANK = b"\xff\xff\xff\xff"  # a store that holds no trip
 _TRANSMIT_SIZE = 192
@@ -29,7 +34,7 @@ class CompilerMissing(RuntimeError):
     """The C board was asked for where nothing can compile it."""
 
 
-class _Config(ctypes.Structure):
+class CConfig(ctypes.Structure):
     """gh_board_config; the names are those of the hello message, which carries the same integers."""
 
     _fields_ = (
@@ -47,7 +52,7 @@ class _Config(ctypes.Structure):
     )
 
 
-class _Pins(ctypes.Structure):
+class CPins(ctypes.Structure):
     """gh_pins"""
 
     _fields_ = (
@@ -77,26 +82,29 @@ def compile_board(target: Path, *arguments: str) -> Path:
 
 @functools.cache
 def load_board() -> ctypes.CDLL:
-    """Return the C board as a shared library, compiled once a process."""
-    with tempfile.TemporaryDirectory(prefix="greenhouse-board-") as directory:  # may go once it is mapped
-        library = ctypes.CDLL(str(compile_board(Path(directory) / "board.so", "-O2", "-fPIC", "-shared")))
+    """Return the C board as a shared library."""
+    library = ctypes.CDLL(str(built("board.so", _compile_library, SOURCES.glob("gh_*"))))
     board, out = ctypes.c_void_p, ctypes.c_char_p
     library.gh_board_size.restype = ctypes.c_size_t
-    library.gh_board_init.argtypes = (board, ctypes.POINTER(_Config), ctypes.c_char_p, _U8, _U32)
+    library.gh_board_init.argtypes = (board, ctypes.POINTER(CConfig), ctypes.c_char_p, _U8, _U32)
     library.gh_board_receive.argtypes = (board, _U8, _U32)
     library.gh_board_sample.argtypes = (board, ctypes.c_int, ctypes.c_int32, _U8, _U32)
     library.gh_board_step.argtypes = (board, _U32)
-    library.gh_board_step.restype = _Pins
+    library.gh_board_step.restype = CPins
     library.gh_board_transmit.argtypes = (board, out, ctypes.c_size_t)
     library.gh_board_transmit.restype = ctypes.c_size_t
     library.gh_board_persistent.argtypes = (board, out)
     return library
 
 
+def _compile_library(target: Path) -> None:
+    compile_board(target, "-O2", "-fPIC", "-shared")
+
+
 def raw_config(config: BoardConfig) -> tuple[int, ...]:
     """Return the fields of gh_board_config, in their order, as the integers that travel in hello."""
     hello = config.hello(session=0, reset_cause=ResetCause.UNKNOWN, boot_count=0)
-    return tuple(_FIELDS[name].to_raw(getattr(hello, name)) for name, _ in _Config._fields_)
+    return tuple(_FIELDS[name].to_raw(getattr(hello, name)) for name, _ in CConfig._fields_)
 
 
 def raw_sample(signal: str, value: float | None) -> int:
@@ -124,7 +132,7 @@ class CBoardCore:
         self._library = load_board()
         self._board = (_U64 * (self._library.gh_board_size() // 8 + 1))()
         self._library.gh_board_init(
-            self._board, _Config(*raw_config(config)), store_of(persistent), reset_cause, boot_count
+            self._board, CConfig(*raw_config(config)), store_of(persistent), reset_cause, boot_count
         )
         self._waiting = bytearray()
         self._drain()
@@ -165,3 +173,12 @@ class CBoardCore:
         out = ctypes.create_string_buffer(_TRANSMIT_SIZE)
         length = self._library.gh_board_transmit(self._board, out, _TRANSMIT_SIZE)
         self._waiting += out.raw[:length]
+
+
+def boots(config: BoardConfig) -> Boot:
+    """Return the starts of one board, as the virtual board's `--core` takes them."""
+
+    def boot(persistent: bytes, cause: ResetCause, boot_count: int) -> Core:
+        return CBoardCore(config, persistent, cause, boot_count)
+
+    return boot
