@@ -20,6 +20,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 BAUDRATE = 115_200
 HALF_OF_THE_PROGRAM = 12_000  # bytes on the line
+GREETED_S = 40.0
+NOBODY_S = 3.0  # to wait for a board that has no program
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +29,7 @@ def patience(monkeypatch):
     """Waits of the host's side that a simulator on a busy machine keeps."""
     for name, seconds in (("SILENCE_S", 20.0), ("RETRY_S", 2.0)):
         monkeypatch.setattr(link, name, seconds)
-    for name, seconds in (("GREETED_S", 40.0), ("ANSWERED_S", 12.0), ("RESET_S", 40.0)):
+    for name, seconds in (("GREETED_S", GREETED_S), ("ANSWERED_S", 12.0), ("RESET_S", 40.0)):
         monkeypatch.setattr(board_session, name, seconds)
 
 
@@ -38,12 +40,21 @@ def tools():
     assert shutil.which("avrdude"), "avrdude is missing: `make test` installs it"
 
 
-def flashed(board: str, port) -> str:
+def flashed(board: str, port, before_s: float = GREETED_S) -> str:
     try:
-        return "\n".join(board_tool.flash(board, str(port), BAUDRATE))
+        return flash(board, port, before_s)
     except RequestError as error:  # a simulator that gets no processor for a while loses a byte
         assert "Run the same command again" in str(error)
-        return "\n".join(board_tool.flash(board, str(port), BAUDRATE))
+        return flash(board, port, before_s)
+
+
+def flash(board: str, port, before_s: float) -> str:
+    """All that it says. before_s : patience with the program that is there, or is not"""
+    lines = board_tool.flash(board, str(port), BAUDRATE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(board_session, "GREETED_S", before_s)
+        before = next(lines)
+    return "\n".join([before, *lines])
 
 
 def program_of(board: str):
@@ -55,7 +66,7 @@ def test_a_new_arduino_is_flashed_configured_and_shown(avr_host, tmp_path, board
     wiring, port = WIRINGS[board], tmp_path / "port"
     (tmp_path / "blank.hex").write_text(BLANK)
     with Arduino(avr_host, board, wiring, port, tmp_path / "blank.hex"):
-        said = flashed(board, port)
+        said = flashed(board, port, NOBODY_S)
         assert "before: " in said and "no board answers" in said
         assert re.search(r"after: board 0, program \d+\.\d+\.\d+;", said) and "no configuration yet" in said
         block = decode_block(configured(wiring, all_parts(wiring))[16:])
@@ -79,7 +90,7 @@ def test_a_renewed_program_keeps_its_configuration(avr_host, tmp_path):
 
 
 def test_a_flash_that_breaks_off_leaves_a_board_that_drives_nothing(avr_host, tmp_path, monkeypatch):
-    monkeypatch.setattr(firmware_file_module, "FLASH_S", 25.0)  # avrdude waits for ever at a dead terminal
+    monkeypatch.setattr(firmware_file_module, "FLASH_S", 12.0)  # avrdude waits for ever at a dead terminal
     wiring, port = WIRINGS["uno"], tmp_path / "port"
     eeprom = configured(wiring, all_parts(wiring))
     with Arduino(avr_host, "uno", wiring, port, program_of("uno"), eeprom) as arduino:
@@ -90,12 +101,12 @@ def test_a_flash_that_breaks_off_leaves_a_board_that_drives_nothing(avr_host, tm
                     arduino.cut_after = HALF_OF_THE_PROGRAM
         arduino.events.clear()
         with monkeypatch.context() as patch, pytest.raises(RequestError, match="no board answers"):
-            patch.setattr(board_session, "GREETED_S", 8.0)
+            patch.setattr(board_session, "GREETED_S", 5.0)
             BoardSession(str(port))
         outputs = {port for port, _ in wiring.output_places}
         led = 1 << 5  # of the bootloader
         assert not [e for e in arduino.events if e.kind == "D" and e.port in outputs and e.value & ~led]
-        assert "the program that was written" not in flashed("uno", port)
+        assert "the program that was written" not in flashed("uno", port, NOBODY_S)
         with BoardSession(str(port)) as session:
             assert session.hello.board_id == 7
 
