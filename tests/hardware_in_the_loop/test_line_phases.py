@@ -3,14 +3,15 @@
 import pytest
 from run import run
 
+from tests.support.virtual_board import on_cores_in_turn
+
 LEASE_S, SILENCE_S = 10.0, 3.0
 FIRST_S, EVERY_S, LASTS_S = 200.0, 60.0, 25.0  # a loss in each step, over before the next tick
 PHASES = [FIRST_S + i * (EVERY_S + 0.37) for i in range(9)]  # renewals are 3 s apart
 
 
-@pytest.mark.parametrize("core", ["python", "c"])
-@pytest.mark.parametrize("direction", ["to_host", "to_board"])
-def test_the_heater_is_off_within_a_lease_whenever_the_line_falls_silent(tmp_path, core, direction):
+@pytest.mark.parametrize(("direction", "core"), on_cores_in_turn(["to_host", "to_board"]))
+def test_the_heater_is_off_within_a_lease_whenever_the_line_falls_silent(tmp_path, direction, core):
     faults = [
         {"name": "mute", "start_s": start_s, "duration_s": LASTS_S, "direction": direction}
         for start_s in PHASES
@@ -44,12 +45,11 @@ EVERYTHING = [
 SPACE_S = 300
 
 
-@pytest.mark.parametrize(("core", "seed"), [("python", 1), ("c", 2)])
-def test_the_reference_is_tracked_again_after_one_fault_upon_another(tmp_path, core, seed):
+def test_the_reference_is_tracked_again_after_one_fault_upon_another(tmp_path):
     faults = [{**fault, "start_s": 605 + i * (SPACE_S + 7)} for i, fault in enumerate(EVERYTHING)]
     settings = {"reference": {"reference_c": 28.0}}
     end_s = faults[-1]["start_s"] + 1500
-    result = run(tmp_path, end_s, core=core, seed=seed, faults=faults, settings=settings, look_s=20.0)
+    result = run(tmp_path, end_s, core="c", seed=2, faults=faults, settings=settings, look_s=20.0)
     end = [look.temp_air_c for look in result.looks if look.time_s > end_s - 900]
     assert abs(sum(end) / len(end) - 28.0) < 1.0
     assert result.hottest_c() < 32.0

@@ -1,13 +1,13 @@
-"""The daemon as a process of its own, the board in real time; both boards at once, since all is waiting."""
+"""The daemon as a process of its own, the board in real time: one on each core."""
 
 import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
 import yaml
 
 from tests.support.virtual_board import CORES, VirtualBoard, virtual_board
@@ -40,47 +40,36 @@ def wait_for_heat(board: VirtualBoard, on: bool) -> None:
         time.sleep(0.05)
 
 
-@pytest.fixture
-def rigs(tmp_path):
-    """A heating daemon on each board."""
-    with ExitStack() as stack:
-        pairs = []
-        for core in CORES:
-            folder = tmp_path / core
-            folder.mkdir()
-            board = stack.enter_context(virtual_board(folder, "--real-time", "--core", CORES[core]))
-            daemon = start_daemon(folder)
-            stack.callback(daemon.wait)
-            stack.callback(daemon.kill)
-            pairs.append((board, daemon))
-        for board, _ in pairs:
+@contextmanager
+def heating_rig(folder: Path, core: str) -> Iterator[tuple[VirtualBoard, "subprocess.Popen[bytes]"]]:
+    with virtual_board(folder, "--real-time", "--core", CORES[core]) as board:
+        daemon = start_daemon(folder)
+        try:
             wait_for_heat(board, on=True)
-        yield pairs
+            yield board, daemon
+        finally:
+            daemon.kill()
+            daemon.wait()
 
 
-def check_off_within_a_lease(pairs, since_s: dict) -> None:
+def check_off_within_a_lease(board: VirtualBoard, since_s: float) -> None:
     """The pin goes off at most LEASE_S of the board's time after `since_s`, and stays off."""
-    for board, _ in pairs:
-        wait_for_heat(board, on=False)
-        assert board.truth()["heater_pin_last_on_s"] <= since_s[board] + LEASE_S + SLACK_S
+    wait_for_heat(board, on=False)
+    assert board.truth()["heater_pin_last_on_s"] <= since_s + LEASE_S + SLACK_S
 
 
-def test_a_killed_daemon_leaves_no_heater_on(rigs):
-    since_s = {}
-    for board, daemon in rigs:
+def test_a_killed_daemon_leaves_no_heater_on(tmp_path):
+    with heating_rig(tmp_path, "python") as (board, daemon):
         daemon.send_signal(signal.SIGKILL)
         daemon.wait()
-        since_s[board] = board.truth()["time_s"]
-    check_off_within_a_lease(rigs, since_s)
+        check_off_within_a_lease(board, board.truth()["time_s"])
 
 
-def test_an_unplugged_board_turns_its_heater_off_and_heats_again_when_it_is_back(rigs):
-    since_s = {}
-    for board, _ in rigs:
-        since_s[board] = board.truth()["time_s"]
+def test_an_unplugged_board_turns_its_heater_off_and_heats_again_when_it_is_back(tmp_path):
+    with heating_rig(tmp_path, "c") as (board, daemon):
+        since_s = board.truth()["time_s"]
         board.inject(name="unplug", duration_s=14)
-    check_off_within_a_lease(rigs, since_s)
-    for board, daemon in rigs:
+        check_off_within_a_lease(board, since_s)
         wait_for_heat(board, on=True)  # the decision of the step still holds, or the next one comes
         daemon.send_signal(signal.SIGTERM)
         assert daemon.wait(timeout=20) == 0
