@@ -351,11 +351,16 @@ def test_install_puts_everything_in_its_place(installed: Path) -> None:
     assert stat.S_IMODE((installed / "etc/greenhouse/keys").stat().st_mode) == 0o750
 
 
-def test_a_second_install_changes_nothing(installed: Path) -> None:
+def test_a_second_install_keeps_and_checks_the_configuration_and_changes_nothing(installed: Path) -> None:
+    edited = installed / "etc/greenhouse/edge.yaml"
+    first = edited.read_text()
+    edited.write_text("reference: {reference_c: 99}\n")
     before = contents(installed)
     done = install("--root", str(installed))
-    assert done.returncode == 0, done.stderr
+    assert done.returncode != 0
+    assert "reference.reference_c: 99" in done.stderr
     assert contents(installed) == before
+    edited.write_text(first)
 
 
 def test_install_beside_a_fleet_keeps_its_programs_and_uninstall_leaves_them(
@@ -377,19 +382,6 @@ def test_install_beside_a_fleet_keeps_its_programs_and_uninstall_leaves_them(
     )
     assert (refused.returncode, "first greenhouse fleet down" in refused.stderr) == (1, True)
     assert fleet.exists()
-
-
-def test_install_keeps_the_configuration_and_checks_it(installed: Path) -> None:
-    edited = installed / "etc/greenhouse/edge.yaml"
-    before = edited.read_text()
-    try:
-        edited.write_text("reference: {reference_c: 99}\n")
-        done = install("--root", str(installed))
-        assert done.returncode != 0
-        assert "reference.reference_c: 99" in done.stderr
-        assert edited.read_text() == "reference: {reference_c: 99}\n"
-    finally:
-        edited.write_text(before)
 
 
 def test_a_dry_run_says_what_it_would_do_and_does_nothing(tmp_path: Path) -> None:
