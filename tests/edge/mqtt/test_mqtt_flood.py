@@ -82,8 +82,8 @@ def test_a_stop_in_a_flood_is_not_held_up(folder: Path, what: str, payload: str,
         wait_for(lambda: listener.payloads(f"{RIG}/state"))
         waits = []
         with flood(broker.port, what, payload, 10**6, qos):
-            time.sleep(1.0)
-            for _ in range(5):
+            time.sleep(0.5)
+            for _ in range(2):
                 listener.client.publish(f"{RIG}/set/emergency_stop", "PRESS", qos=1)
                 begun = time.monotonic()
                 wait_for(lambda: is_stopped(daemon))
