@@ -4,6 +4,7 @@
 """
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -169,6 +170,7 @@ def sources(part: str) -> list[Path]:
     return [path] if path.is_file() else sorted(path.rglob("*.py"))
 
 
+@functools.cache
 def imported(path: Path) -> set[str]:
     """Modules that a file imports anywhere in it, dotted."""
     found = set()

@@ -1,4 +1,4 @@
-"""What a test session compiles: once for all its workers and the boards that they start."""
+"""Compile once for all workers of a test session and the boards that they start."""
 
 import atexit
 import fcntl
