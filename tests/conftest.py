@@ -14,6 +14,10 @@ from hypothesis import settings
 
 from tests.support.builds import FOLDER_VARIABLE, built
 
+# Tests run beside each other: a library that starts a thread for each core makes all of them wait.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read once, at the first import of numpy or torch
+    os.environ.setdefault(_name, "1")
+
 LONGEST_FIRST = (
     *("test_closed_loop", "test_nightly_for_real", "test_control_clairvoyant", "test_resolve_alias"),
     *("test_no_false_alarms", "test_whole_daemon", "test_llm_misbehaviours", "test_safety_mutation"),

@@ -254,7 +254,8 @@ def test_a_refusal_is_passed_on_in_one_line() -> None:
     assert asyncio.run(run_command(python(code))) == {"ok": False, "error": "walls: none"}
 
 
-def test_the_process_stands_back_for_the_daemon() -> None:
+def test_the_process_stands_back_for_the_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     code = """
 import json, os
 adjusted = int(open("/proc/self/oom_score_adj").read())
