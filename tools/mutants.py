@@ -31,9 +31,9 @@ from cosmic_ray.work_item import MutationSpec
 
 ROOT = Path(__file__).parent.parent
 ROOMS = {  # room of edge -> folders of tests, nearest first
-    "safety": ("tests/edge/safety", "tests/conformance"),
+    "safety": ("tests/edge/safety",),
     "tick": ("tests/edge/tick",),
-    "board": ("tests/edge/board", "tests/conformance"),
+    "board": ("tests/edge/board",),
     "storage": ("tests/edge/storage",),
     "bundle": ("tests/edge/bundle",),
     "mqtt": ("tests/edge/mqtt",),
