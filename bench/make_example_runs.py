@@ -16,12 +16,16 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from bench.hidden_effects.chamber_box import BASE, LEAD_ROWS, THIN_WALLS, RunPlan, Settings, calibrate
+from bench.foreign.greenhouse import BASE, ChamberDay, Settings, drive
 from edge.__main__ import main as greenhouse
 from edge.core.errors import GreenhouseError
 from edge.formats.number_table import write_table
-from edge.formats.run_file import read_run, write_run
+from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.tick.sensor_health import AVERAGE_S
+from edge.twin.effects.library import EFFECTS
+from edge.twin.fit import fit_twin
+from edge.twin.twin_file import TwinFile
+from edge.twin.value import Value
 from firmware_protocol.virtual_board.effects import EFFECT_NAMES
 
 EXAMPLE = Path(__file__).parent.parent / "docs" / "examples" / "diagnosis"
@@ -29,9 +33,15 @@ STEP_S, STEP_K, REST_MIN, ROOM_C = 60.0, 0.1, 10, 21.2
 COLUMNS = ("time_s", "temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
 FACTS = ("start_utc", "rig", "role", "seed", "notes")
 
-KNOWN = ("wall_loss", "extra_capacity", "fan_effectiveness")
+QUIET: Settings = {
+    "effects.power_run_variation": 0.0,
+    "effects.power_wander": 0.0,
+    "effects.sensor_noise": 0.0,
+    "effects.sensor_step": 0.0,
+}
 NEW_BOX: Settings = {
-    **THIN_WALLS,
+    "cover.inner_film_w_m2_k": 80.0,  # sheets that let heat through
+    "cover.gap_w_m2_k": 150.0,
     "effects.wall_loss": 1.0,
     "cover.outer_film_w_m2_k": 4.0,
     "effects.extra_capacity": 1.0,
@@ -85,9 +95,9 @@ def _twin_text() -> str:
     """Return the twin, calibrated on the box when it was new; readings are
     as late as the mean that they are.
     """
-    known = calibrate(KNOWN, NEW_BOX, [quiet_plan(seed) for seed in CALIBRATED_ON]).effects
     effects: dict[str, dict[str, object]] = {
-        name: {key: _value(name, value) for key, value in own.items()} for name, own in known.items()
+        name: {key: _value(name, item.value) for key, item in own.items()}
+        for name, own in _calibrate().items()
     }
     late_s = AVERAGE_S / 2.0
     effects |= {"heater_deadtime": {"d_h": late_s}, "fan_deadtime": {"d_f": late_s}}
@@ -103,20 +113,28 @@ def _twin_text() -> str:
     ) + yaml.safe_dump(document, sort_keys=False)
 
 
-def quiet_plan(seed: int) -> RunPlan:
-    """Two hours in which heater and fan switch at random, to calibrate a twin on."""
+def _calibrate() -> Mapping[str, Mapping[str, Value]]:
+    """Return the effects of the new box: what the chamber has no number for is fitted to its quiet runs."""
+    file = TwinFile(
+        effects={
+            "wall_loss": {"UA": Value(EFFECTS["wall_loss"].parameter("UA").start, fit=True)},
+            "extra_capacity": {"kC": Value(BASE["air.contact_capacity_factor"])},
+            "fan_effectiveness": {"eps_f": Value(NEW_BOX["fan.effectiveness"])},
+        },
+        sensor={"quantisation_k": None, "noise_sd_k": 0.02},
+    )
+    return fit_twin(file, [_quiet_run(seed) for seed in CALIBRATED_ON]).file.effects
+
+
+def _quiet_run(seed: int) -> RecordedRun:
+    """Two hours in which heater and fan switch at random."""
     random = np.random.default_rng(seed)
     duty, fan = np.repeat(random.uniform(0.0, 0.7, 12), 10), np.repeat(random.integers(0, 2, 12), 10)
-    before = np.zeros(LEAD_ROWS)
-    return RunPlan(
-        np.concatenate([before, duty]),
-        np.concatenate([before, fan.astype(np.float64)]),
-        np.zeros(LEAD_ROWS + len(duty)),
-        day=0.0,
-        hour=10.0,
-        room_c=ROOM_C,
-        seed=seed,
-    )
+    day = ChamberDay(hour=10.0, room_c=ROOM_C, light=np.zeros(len(duty)), seed=seed)
+    run = drive({**NEW_BOX, **QUIET}, day, lambda k, _: (float(duty[k]), float(fan[k])))
+    columns = {name: run[name] for name in COLUMNS if name in run}
+    time_s = STEP_S * np.arange(len(duty), dtype=np.float64)
+    return RecordedRun({"time_s": time_s, **columns}, {"role": "train"})
 
 
 def chamber_document(settings: Mapping[str, float]) -> dict[str, dict[str, float]]:

@@ -1,1 +1,1 @@
-"""A third generator of cases: physics, numbers and disturbances that the engine has not."""
+"""Cases with a truth: boxes of which the engine has nothing, and the virtual board's greenhouse."""

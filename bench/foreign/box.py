@@ -198,10 +198,10 @@ class Hysteresis:
 def draw_control(rng: Generator, kind: str, rows: int, step_s: float, tau_s: float, rise_k: float,
                  room_c: float, has_fan: bool) -> Control:  # fmt: skip
     """Draw steps, a thermostat with changing set points, a timer, or a ramp of levels up and down."""
-    fan = _spells(rng, rows, step_s, (0.3 * tau_s, 3.0 * tau_s), lambda: float(rng.random() < 0.4))
+    fan = spells(rng, rows, step_s, (0.3 * tau_s, 3.0 * tau_s), lambda: float(rng.random() < 0.4))
     fan = fan if has_fan else np.zeros(rows)
     if kind == "thermostat":
-        targets = _spells(
+        targets = spells(
             rng, rows, step_s, (3.0 * tau_s, 9.0 * tau_s), lambda: room_c + rise_k * rng.uniform(0.2, 0.75)
         )
         switch = Hysteresis(0.0, 0.0)
@@ -216,9 +216,9 @@ def draw_control(rng: Generator, kind: str, rows: int, step_s: float, tau_s: flo
         levels = np.abs((np.arange(rows) * step_s / (14.0 * tau_s)) % 2.0 - 1.0)
         duty = np.round(5.0 * levels) / 5.0
     elif kind == "timer":
-        duty = _spells(rng, rows, step_s, (0.5 * tau_s, 4.0 * tau_s), lambda: float(rng.random() < 0.5))
+        duty = spells(rng, rows, step_s, (0.5 * tau_s, 4.0 * tau_s), lambda: float(rng.random() < 0.5))
     else:
-        duty = _spells(
+        duty = spells(
             rng, rows, step_s, (0.5 * tau_s, 5.0 * tau_s), lambda: float(rng.choice([0, 0.25, 0.4, 0.6, 1]))
         )
     # Every log begins at rest, so that a twin can start from what the first rows show.
@@ -226,9 +226,10 @@ def draw_control(rng: Generator, kind: str, rows: int, step_s: float, tau_s: flo
     return lambda row, _: (float(duty[row]), float(fan[row]))
 
 
-def _spells(
+def spells(
     rng: Generator, rows: int, step_s: float, lasts_s: tuple[float, float], value: Callable[[], float]
 ) -> Floats:
+    """Draw values that hold for a while each."""
     found = np.empty(rows)
     at = 0
     while at < rows:
@@ -241,10 +242,10 @@ def _spells(
 def sun_w(rng: Generator, rows: int, step_s: float, peak_w: float, tau_s: float) -> Floats:
     """Through a window, between clouds; a day lasts some time constants, so that a log shows several."""
     day = 2.0 * np.sin(2.0 * np.pi * np.arange(rows) * step_s / (12.0 * tau_s) + rng.uniform(0.0, 6.0))
-    clouds = _spells(rng, rows, step_s, (0.2 * tau_s, 2.0 * tau_s), lambda: rng.choice([0.15, 0.6, 1.0]))
+    clouds = spells(rng, rows, step_s, (0.2 * tau_s, 2.0 * tau_s), lambda: rng.choice([0.15, 0.6, 1.0]))
     return np.asarray(peak_w * np.clip(day, 0.0, 1.0) * clouds)
 
 
 def visits_w(rng: Generator, rows: int, step_s: float, each_w: float, tau_s: float) -> Floats:
     """Draw the heat of people or pumps that come and go [W]."""
-    return _spells(rng, rows, step_s, (0.7 * tau_s, 5.0 * tau_s), lambda: each_w * rng.choice([0, 0, 1, 2]))
+    return spells(rng, rows, step_s, (0.7 * tau_s, 5.0 * tau_s), lambda: each_w * rng.choice([0, 0, 1, 2]))

@@ -3,15 +3,19 @@
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import yaml
 
-from bench.foreign.cases import FIRST_SEEDS, KINDS, ForeignCase, ForeignLog, make_case, seed_of
+from bench.foreign import cases, greenhouse
+from bench.foreign.cases import FIRST_SEEDS, KINDS, ForeignCase, ForeignLog, seed_of
 from edge.core.errors import DataError
 from edge.core.sweep import add_arguments, sweep
 
 Task = tuple[Path, str, str, int]
+ATTEMPTS = 60
 
 
 def add_place(parser: argparse.ArgumentParser) -> None:
@@ -63,6 +67,18 @@ def _make(task: Task) -> str:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(case.truth, indent=1), encoding="utf-8")
     return name_of(task)
+
+
+def make_case(split: str, kind: str, number: int) -> ForeignCase:
+    """Errors: RuntimeError where no draw shows what is hidden."""
+    seed = seed_of(split, kind, number)
+    rng = np.random.default_rng([7_777, seed])
+    attempt = greenhouse.attempt if kind in greenhouse.KINDS else cases.attempt
+    for _ in range(ATTEMPTS):
+        case = attempt(rng, kind, number)
+        if case is not None:
+            return replace(case, truth={**case.truth, "seed": seed, "kind": kind, "split": split})
+    raise RuntimeError(f"foreign: {split} {kind} {number}: nothing in {ATTEMPTS} draws shows what is hidden")
 
 
 def write_case(case: ForeignCase, folder: Path) -> None:

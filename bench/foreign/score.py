@@ -1,8 +1,9 @@
-"""python -m bench.foreign run, score: the diagnosis of every case, and its answers against truths.
+"""python -m bench.foreign run, score: a solver on every case, and its answers against truths.
 
 A name is right strictly where it is hidden in the box, and by class where a log of temperatures hardly tells
 it from what is (ALIASES of bench/foreign/cases.py). Errors are those of free runs over test rows [K]; the
-baselines (one mass, heater lag, two masses, ARX 2 to 4) are fitted to the same training rows.
+baselines (one mass, heater lag, two masses, ARX 2 to 4) are fitted to the same training rows. Cases of the
+greenhouse have rows of their own, and no part in the others.
 """
 
 import argparse
@@ -16,9 +17,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from bench.foreign.cases import ALIASES, PLACES
-from bench.foreign.make import add_place, name_of, tasks_of
-from bench.hidden_effects.run_cases import LIMIT_S, OURS, SolverTask, is_done, run_all
-from bench.hidden_effects.wilson import Share, share
+from bench.foreign.greenhouse import KINDS as GREENHOUSE
+from bench.foreign.make import Task, add_place, name_of, tasks_of
+from bench.foreign.run_cases import LIMIT_S, OURS, PYSINDY, SolverTask, is_done, run_all
+from bench.foreign.wilson import Share, share
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.report.wording import beaten
 from edge.formats.table import Table
@@ -30,24 +32,30 @@ NEAR_BEST, NEAR_SIMPLE = 1.02, 1.10
 
 
 def run_cases(words: Sequence[str]) -> int:
-    """Run `greenhouse twin diagnose` on what has no answer of its present files yet."""
+    """Run the solver on what has no answer of its present files yet."""
     parser = argparse.ArgumentParser(prog="python -m bench.foreign run", description=__doc__)
     add_place(parser)
+    _add_solver(parser)
     parser.add_argument("--limit-s", type=float, default=LIMIT_S, help="of one case; default: %(default)g")
     parser.add_argument("--again", action="store_true", help="also what has an answer")
     arguments = parser.parse_args(words)
     wanted = []
     for task in tasks_of(arguments):
         folder = task[0] / "cases" / name_of(task)
-        wanted.append(SolverTask(OURS, folder, answer_of(task[0], name_of(task)), arguments.limit_s))
+        answer = answer_of(task[0], name_of(task), arguments.solver)
+        wanted.append(SolverTask(arguments.solver, folder, answer, arguments.limit_s))
     missing = [task for task in wanted if arguments.again or not is_done(task)]
     run_all(missing, arguments.workers, arguments.dask)
     return 0
 
 
-def answer_of(root: Path, name: str) -> Path:
+def _add_solver(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--solver", choices=(OURS, PYSINDY), default=OURS, help="default: %(default)s")
+
+
+def answer_of(root: Path, name: str, solver: str = OURS) -> Path:
     """Folder of a case's answer."""
-    return root / "answers" / name
+    return root / ("answers" if solver == OURS else solver) / name
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,12 +175,15 @@ def _bias(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[float]
 def _coverage(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[bool]:
     for item in found["effects"]:
         for key, true in truth["hidden"].get(item["name"], {}).items():
-            own = item["parameters"][key]
-            yield own["low"] is not None and own["low"] <= true <= own["high"]
+            own = item["parameters"].get(key)  # a peer tells no values
+            if own:
+                yield own["low"] is not None and own["low"] <= true <= own["high"]
 
 
 def figures(cases: Sequence[ScoredAnswer]) -> dict[str, Share | float]:
     """Every figure of the table."""
+    greenhouse = _figures_of_greenhouse(*(_of(cases, kind) for kind in GREENHOUSE))
+    cases = [case for case in cases if case.kind not in GREENHOUSE]
     single, pair, outside = (_of(cases, kind) for kind in ("single", "pair", "outside"))
     library = [*single, *pair]
     statements = [own for case in cases for own in case.statements]
@@ -215,6 +226,20 @@ def figures(cases: Sequence[ScoredAnswer]) -> dict[str, Share | float]:
         "seconds of processor, median": _quantile([case.cpu_s for case in cases], 0.5),
         "seconds of processor, most": _quantile([case.cpu_s for case in cases], 1.0),
         "no answer": share(case.verdict == "failed" for case in cases),
+        **greenhouse,
+    }
+
+
+def _figures_of_greenhouse(hidden: Sequence[ScoredAnswer], null: Sequence[ScoredAnswer]) -> dict[str, Share]:
+    return {
+        "greenhouse: first name, strict": share(case.strict[:1] == (True,) for case in hidden),
+        "greenhouse: first name, by class": share(case.by_class[:1] == (True,) for case in hidden),
+        "greenhouse: exact, by class": share(case.is_exact for case in hidden),
+        "greenhouse: false names": share(not own for case in (*hidden, *null) for own in case.by_class),
+        "greenhouse: unknown said": share(case.verdict == "unknown" for case in (*hidden, *null)),
+        "greenhouse null: something named": share(bool(case.named) for case in null),
+        "greenhouse null: nothing missing said": share(case.verdict == "nothing_missing" for case in null),
+        "greenhouse: no answer": share(case.verdict == "failed" for case in (*hidden, *null)),
     }
 
 
@@ -245,10 +270,10 @@ def _quantile(values: Sequence[float], level: float) -> float:
     return sorted(values)[max(0, math.ceil(level * len(values)) - 1)] if values else math.nan
 
 
-def read_scored(task: Any) -> ScoredAnswer | None:
+def read_scored(task: Task, solver: str = OURS) -> ScoredAnswer | None:
     """None where the case has not been run."""
     root, name = task[0], name_of(task)
-    folder = answer_of(root, name)
+    folder = answer_of(root, name, solver)
     if not (folder / "run.json").exists():
         return None
     truth = json.loads((root / "truth" / f"{name}.json").read_text(encoding="utf-8"))
@@ -285,10 +310,12 @@ def main(words: Sequence[str] | None = None) -> int:
     """Score what was run, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m bench.foreign score", description=__doc__)
     add_place(parser)
+    _add_solver(parser)
     parser.add_argument("--each", action="store_true", help="a line a case too")
     parser.add_argument("--write", type=Path, help="the table, to this file too")
     arguments = parser.parse_args(words)
-    cases = [own for own in map(read_scored, tasks_of(arguments)) if own is not None]
+    answers = [read_scored(task, arguments.solver) for task in tasks_of(arguments)]
+    cases = [own for own in answers if own is not None]
     if arguments.each:
         for case in cases:
             print(_line(case))

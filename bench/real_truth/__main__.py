@@ -19,8 +19,8 @@ import yaml
 
 from bench.foreign.cases import ForeignLog
 from bench.foreign.make import write_text
+from bench.foreign.run_cases import LIMIT_S, OURS, SolverTask, run_all
 from bench.foreign.score import is_alike
-from bench.hidden_effects.run_cases import LIMIT_S, OURS, SolverTask, run_all
 from bench.real_truth.logs import LOGS, Columns, RealLog, texts
 from edge.core.errors import DataError
 

@@ -1,12 +1,12 @@
 """How often the diagnosis is right where the truth is known: cases with hidden effects, made, run and scored.
 
-The suite `foreign` shares nothing with the diagnosis: other physics, disturbances, sizes and pace.
+The cases are boxes that share nothing with the diagnosis: other physics, disturbances, sizes and pace. The
+kinds `greenhouse` and `greenhouse_null` are of the virtual board's greenhouse.
 
-Needs the project's checkout, which holds the cases' generator and the scorer, and `pip install '.[dev]'`.
+Needs the project's checkout, which holds the cases' generator and the scorer.
 """
 
 import argparse
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -15,16 +15,12 @@ from edge.commands.arguments import whole
 from edge.core.errors import RequestError
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-BENCH, FOREIGN = "bench.hidden_effects", "bench.foreign"
-SUITES = ("equations", "chamber", "foreign")
+BENCH = "bench.foreign"
 QUICK_CASES = 2  # of each kind
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument(
-        "--suite", choices=SUITES, default=SUITES[0], help="what makes the cases: %(choices)s"
-    )
     parser.add_argument(
         "--split", choices=("dev", "scored"), default="scored", help="cases used while tuning, or only scored"
     )
@@ -42,14 +38,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Make what cases are missing, run and score them; the tables on standard output.
 
     Returns : the exit code of the step that failed, 0 when none did
-    Errors : RequestError where there is no checkout, or no pysindy
+    Errors : RequestError where there is no checkout
     """
     refuse_without_checkout(CHECKOUT)
-    bench, to_do = (
-        (FOREIGN, foreign_steps(arguments)) if arguments.suite == "foreign" else (BENCH, steps(arguments))
-    )
-    for step in to_do:
-        code = subprocess.run([sys.executable, "-m", bench, *step], cwd=CHECKOUT, check=False).returncode
+    for step in steps(arguments):
+        code = subprocess.run([sys.executable, "-m", BENCH, *step], cwd=CHECKOUT, check=False).returncode
         if code:
             return code
     return 0
@@ -60,28 +53,11 @@ def refuse_without_checkout(checkout: Path) -> None:
     folder = checkout / BENCH.replace(".", "/")
     if not (folder / "__main__.py").exists():
         raise RequestError(f"{folder}: is not there: the benchmark runs in a checkout of the project")
-    if importlib.util.find_spec("pysindy") is None:
-        raise RequestError("pysindy is not installed, which runs beside the diagnosis: pip install '.[dev]'")
 
 
 def steps(arguments: argparse.Namespace) -> list[list[str]]:
     """Arguments of make, run and score, in this order."""
-    out, few = arguments.out.absolute(), _few(arguments)
-    which = ["--suite", arguments.suite, "--split", arguments.split]
-    which += ["--kinds", arguments.kinds] if arguments.kinds else []
-    workers = ["--workers", str(arguments.workers)]
-    places = ["--root", str(out / "cases"), "--results", str(out / "answers")]
-    first = ["--seed-from", str(arguments.seed_from)]
-    return [
-        ["make", *which, "--out", str(out / "cases"), *few, *first, *workers],
-        ["run", *which, *places, *few, *workers],
-        ["score", *which, *places, *few, *workers],
-    ]
-
-
-def foreign_steps(arguments: argparse.Namespace) -> list[list[str]]:
-    """Return the steps of the suite `foreign`, which has no other solvers and figures of its own."""
-    which = ["--split", arguments.split, "--out", str(arguments.out.absolute() / "foreign"), *_few(arguments)]
+    which = ["--split", arguments.split, "--out", str(arguments.out.absolute()), *_few(arguments)]
     which += ["--kinds", arguments.kinds] if arguments.kinds else []
     which += ["--seed-from", str(arguments.seed_from), "--workers", str(arguments.workers)]
     return [[step, *which] for step in ("make", "run", "score")]

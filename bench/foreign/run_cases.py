@@ -1,14 +1,10 @@
-"""python -m bench.hidden_effects run: the diagnosis and the peers on every case, each case once.
+"""A solver on cases: `greenhouse twin diagnose` as a process that is given a case's folder, or a peer here.
 
-Answers lie under <results>/<solver>/<case>/: diagnosis.json, and run.json with the seconds it took, the exit
-code and what was said on standard error. A case that has a run.json of its present files is left as it is.
-The diagnosis runs as a process that is given the case's folder and nothing else; peers run here.
+An answer is diagnosis.json, and run.json with the seconds that it took, the exit code and what was said on
+standard error. What has a run.json of its present files is done.
 """
 
-import argparse
 import hashlib
-import importlib
-import importlib.util
 import json
 import os
 import resource
@@ -20,15 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.hidden_effects.peers import PEERS, diagnose
-from bench.hidden_effects.score import write_document
-from bench.hidden_effects.score_case import add_place, cases_of
-from edge.core import sweep
-from edge.core.errors import DataError, GreenhouseError
-from edge.core.processes import processors
+from edge.core.errors import GreenhouseError
+from edge.core.sweep import sweep
 
-OURS = "diagnose"
-SOLVERS = (OURS, *PEERS)
+OURS, PYSINDY = "diagnose", "pysindy"
 LIMIT_S = 600.0
 _KEPT_CHARACTERS = 4000  # of standard error
 
@@ -40,38 +31,7 @@ class SolverTask(NamedTuple):
     folder: Path
     out: Path
     limit_s: float
-    pictures: bool = False
     jobs: int = 1
-
-
-def main(words: Sequence[str] | None = None) -> int:
-    """Run what is missing; failures are kept as answers that are none."""
-    parser = argparse.ArgumentParser(prog="python -m bench.hidden_effects run", description=__doc__)
-    add_arguments(parser)
-    arguments = parser.parse_args(words)
-    results = arguments.results / arguments.suite / arguments.split
-    jobs = max(1, processors() // arguments.workers)  # of one diagnosis
-    tasks = [
-        SolverTask(
-            solver, folder, results / solver / folder.name, arguments.limit_s, arguments.pictures, jobs
-        )
-        for folder, _ in cases_of(arguments)
-        for solver in _solvers(arguments.solvers)
-    ]
-    missing = [task for task in tasks if arguments.again or not is_done(task)]
-    print(f"{len(tasks)} answers, {len(tasks) - len(missing)} of them there", flush=True)
-    run_all(missing, arguments.workers, arguments.dask)
-    return 0
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Those of `run`."""
-    add_place(parser)
-    parser.add_argument("--solvers", default=",".join(SOLVERS), help="comma between; default: %(default)s")
-    sweep.add_arguments(parser)
-    parser.add_argument("--limit-s", type=float, default=LIMIT_S, help="of one case; default: %(default)g")
-    parser.add_argument("--pictures", action="store_true", help="the whole report, which takes seconds more")
-    parser.add_argument("--again", action="store_true", help="also what has an answer")
 
 
 def run_all(tasks: Sequence[SolverTask], workers: int, dask: str | None = None) -> None:
@@ -80,29 +40,17 @@ def run_all(tasks: Sequence[SolverTask], workers: int, dask: str | None = None) 
     def tell(done: int, task: SolverTask, line: str) -> None:
         print(f"{done}/{len(tasks)} {line}", flush=True)
 
-    sweep.sweep(run_one, tasks, workers, dask, tell)
+    sweep(run_one, tasks, workers, dask, tell)
 
 
 def run_one(task: SolverTask) -> str:
     """Run one task and write what came of it; a line that says so."""
-    if task.solver == "pysindy":  # before the clock runs: importing it takes longer than a case
-        importlib.import_module("pysindy")
     task.out.mkdir(parents=True, exist_ok=True)
     (task.out / "diagnosis.json").unlink(missing_ok=True)
     took = _diagnosis(task) if task.solver == OURS else _peer(task)
-    write_document(task.out / "run.json", {"case_sha256": case_sha256(task.folder), **took})
+    _write(task.out / "run.json", {"case_sha256": case_sha256(task.folder), **took})
     said = "" if took["exit"] == 0 else f", failed: {took['stderr'].strip().splitlines()[-1:]}"
     return f"{task.folder.name} {task.solver} {took['wall_s']:.1f} s{said}"
-
-
-def _solvers(words: str) -> list[str]:
-    """Errors: DataError for one that there is not, or whose library is not installed."""
-    names = words.split(",")
-    if unknown := [name for name in names if name not in SOLVERS]:
-        raise DataError(f"--solvers: there is no {unknown[0]!r}; there are {', '.join(SOLVERS)}")
-    if "pysindy" in names and importlib.util.find_spec("pysindy") is None:
-        raise DataError("--solvers: pysindy is not installed: pip install '.[dev]'")
-    return names
 
 
 def _diagnosis(task: SolverTask) -> dict[str, Any]:
@@ -111,8 +59,7 @@ def _diagnosis(task: SolverTask) -> dict[str, Any]:
     command = [
         "nice", "-n", "10", sys.executable, "-m", "edge", "twin", "diagnose", *map(str, train),
         "--test", *map(str, tests), "--twin", str(task.folder / "twin.yaml"), "--out", str(task.out),
-        "--jobs", str(task.jobs),
-        *(() if task.pictures else ("--json-only",)),
+        "--jobs", str(task.jobs), "--json-only",
     ]  # fmt: skip
     # A session of its own: a diagnosis over its time is killed with all its workers.
     before, begun_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
@@ -137,9 +84,13 @@ def _diagnosis(task: SolverTask) -> dict[str, Any]:
 
 
 def _peer(task: SolverTask) -> dict[str, Any]:
+    from bench.foreign.peer import (
+        diagnose,
+    )  # before the clock runs: importing pysindy takes longer than a case
+
     begun_s, cpu_s, stderr = time.perf_counter(), time.process_time(), ""
     try:
-        write_document(task.out / "diagnosis.json", diagnose(task.solver, task.folder))
+        _write(task.out / "diagnosis.json", diagnose(task.folder))
     except (GreenhouseError, ValueError, ArithmeticError) as error:  # a peer that can't is an answer, too
         stderr = repr(error)
     return {
@@ -148,6 +99,10 @@ def _peer(task: SolverTask) -> dict[str, Any]:
         "cpu_s": time.process_time() - cpu_s,
         "stderr": stderr,
     }
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def case_sha256(folder: Path) -> str:

@@ -1,1 +1,0 @@
-"""The benchmark of the diagnosis: cases with hidden effects, their truth, and how answers are scored."""
