@@ -19,7 +19,6 @@ from edge.config.settings import ControlSettings, LlmSettings
 from edge.controllers.input_profile import InputProfile
 from edge.controllers.mpc_bfgs import MpcBfgs
 from edge.controllers.mpc_twin import CLASH_WEIGHT
-from edge.controllers.rl import Rl
 from edge.controllers.rules import Rules
 from edge.core.controller import Controller
 from edge.core.controller_names import LLM
@@ -29,7 +28,6 @@ from edge.core.sweep import sweep
 from edge.formats.atomic_file import write_atomically
 from edge.formats.profile_file import Profile, read_profile
 from edge.models.arx_file import read_arx
-from edge.models.onnx_policy import read_policy
 from edge.tick.reference import reference_from_profile
 from firmware_protocol.virtual_board.chamber_parameters import load
 from training.control.chamber_rows import ChamberRows
@@ -71,8 +69,7 @@ class ComparisonJob:
             "seed": self.seed,
         }
         if (policy := POLICY_FILES.get(self.entry.controller)) is not None:
-            file = self.entry.policy or PACKAGED_FOLDER / policy
-            facts["policy"] = hashlib.sha256(file.read_bytes()).hexdigest()
+            facts["policy"] = hashlib.sha256((PACKAGED_FOLDER / policy).read_bytes()).hexdigest()
         if self.entry.clairvoyant is not None:
             clash_weight = CLASH_WEIGHT if self.entry.rule == "band" else 0.0
             facts["clairvoyant"] = [self.entry.rule, self.entry.whole, clash_weight]
@@ -137,8 +134,6 @@ def _instead(job: ComparisonJob) -> Controller | None:
         return MpcBfgs("unbounded", read_arx(), weight, ControlSettings().horizon, bounded=False)
     if job.entry.thresholds is not None:
         return Rules(job.entry.thresholds, name="tuned")
-    if job.entry.policy is not None:
-        return Rl("policy", read_policy(job.entry.policy, job.entry.name, ControlSettings().step_s))
     return _clairvoyant(job)
 
 

@@ -57,7 +57,6 @@ class ComparisonEntry:
     whole : a clairvoyant's fan is off or on for all of a step
     unbounded : BFGS without the bounds of the paper's problem, clipped afterwards
     thresholds : of a thermostat other than the daemon's
-    policy : a file other than the bundle's, for an RL controller
     """
 
     name: str
@@ -69,7 +68,6 @@ class ComparisonEntry:
     whole: bool = False
     unbounded: bool = False
     thresholds: Thresholds | None = None
-    policy: Path | None = None
 
     @property
     def preview(self) -> bool:

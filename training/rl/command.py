@@ -1,4 +1,4 @@
-"""`greenhouse-train rl`, `rl-online`, `rl-gap` and `rl-compare`: their arguments, and what they print."""
+"""`greenhouse-train rl` and `rl-online`: their arguments, and what they print."""
 
 import argparse
 from pathlib import Path
@@ -23,11 +23,9 @@ VIRTUAL_PATIENCE_S = 60.0  # a daemon in lock-step asks at once, or it has gone
 
 
 def add_commands(commands: "Commands") -> None:
-    """All of them."""
+    """Both of them."""
     _add_offline(commands.add_parser("rl", help=_offline.__doc__, description=_offline.__doc__))
     _add_online(commands.add_parser("rl-online", help=_online.__doc__, description=_online.__doc__))
-    _add_gap(commands.add_parser("rl-gap", help=_gap.__doc__, description=_gap.__doc__))
-    _add_compare(commands.add_parser("rl-compare", help=_compare.__doc__, description=_compare.__doc__))
 
 
 def _add_offline(sub: argparse.ArgumentParser) -> None:
@@ -143,79 +141,6 @@ def _online(arguments: argparse.Namespace) -> int:
         f"{variant} seed {arguments.seed}: {metrics['steps']} steps, {metrics['used']} of them as proposed, "
         f"{metrics['gaps']} gaps, MAE while learning {metrics['mae_k_while_learning']:.3f} K"
     )
-    return 0
-
-
-def _add_gap(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--variant", choices=OFFLINE, nargs="+", default=("RL-Off",), help="usual: RL-Off")
-    sub.add_argument("--seed", type=int, nargs="+", default=(0, 1, 2, 3, 4), help="usual: 0 to 4")
-    sub.add_argument("--policies", type=Path, default=POLICIES, help=f"usual: {POLICIES}")
-    sub.add_argument("--out", type=Path, help="the table (usual: gap.txt among the policies)")
-    sub.set_defaults(run=_gap)
-
-
-def _gap(arguments: argparse.Namespace) -> int:
-    """the same policies in their model and on the virtual rig, with and without randomised parameters"""
-    from training.rl.gap import gap_table, hashes
-    from training.rl.read_model import read_model
-
-    groups = [
-        (
-            parameters,
-            [folder_of(arguments.policies, variant, "ham", seed, drawn) for seed in arguments.seed],
-        )
-        for variant in arguments.variant
-        for parameters, drawn in (("as fitted", False), ("drawn", True))
-    ]
-    words = " ".join(map(str, arguments.seed))
-    command = f"greenhouse-train rl-gap --variant {' '.join(arguments.variant)} --seed {words}"
-    out = arguments.out or arguments.policies / "gap.txt"
-    with out.open("w", encoding="utf-8") as kept:
-        for lines in (gap_table(groups, read_model("ham"), command), hashes(groups)):
-            for line in lines:
-                print(line, flush=True)
-                print(line, file=kept)
-    return 0
-
-
-def _add_compare(sub: argparse.ArgumentParser) -> None:
-    runs, results = Path("out/control"), POLICIES.parent / "control"
-    sub.add_argument("--algorithm", nargs="+", metavar="NAME", help="usual: all of training/rl/algorithms")
-    sub.add_argument("--seed", type=int, nargs="+", default=(0, 1, 2, 3, 4), help="usual: 0 to 4")
-    sub.add_argument("--policies", type=Path, default=POLICIES, help=f"usual: {POLICIES}")
-    sub.add_argument("--runs", type=Path, default=runs, help=f"runs done before and now (usual: {runs})")
-    sub.add_argument(
-        "--results", type=Path, default=results, help=f"figures of all controllers (usual: {results})"
-    )
-    sub.add_argument("--out", type=Path, help="folder of the table (usual: among the policies)")
-    sub.set_defaults(run=_compare)
-
-
-def _compare(arguments: argparse.Namespace) -> int:
-    """policies of each learning algorithm, in fresh episodes and on the virtual rig, in one table"""
-    from training.data.datasets import training_runs
-    from training.rl.algorithms.registry import ALGORITHMS, algorithm_of
-    from training.rl.compare import VARIANT, JudgedPolicy, compare, head, text_of, write
-    from training.rl.read_model import REGIME
-    from training.rl.study import world_of
-
-    names = arguments.algorithm or list(ALGORITHMS)
-    for name in names:
-        algorithm_of(name)
-    policies = [
-        JudgedPolicy(name, folder_of(arguments.policies, VARIANT, "ham", seed, False, name))
-        for name in names
-        for seed in arguments.seed
-    ]
-    world = world_of(VARIANT, "ham", training_runs(REGIME))
-    found = []
-    for one in compare(policies, world, arguments.runs, arguments.results):
-        print(f"{one.algorithm} seed {one.seed}: x equal {one.regret:.2f}", flush=True)
-        found.append(one)
-    words = f"greenhouse-train rl-compare --algorithm {' '.join(names)}"
-    lines = head(f"{words} --seed {' '.join(map(str, arguments.seed))}", world)
-    write(found, lines, arguments.out or arguments.policies)
-    print(text_of(found, lines), end="")
     return 0
 
 

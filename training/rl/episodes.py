@@ -75,22 +75,6 @@ class Episodes(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class RepeatedEpisode:
-    """The same episode every time."""
-
-    episode: Episode
-
-    @property
-    def steps(self) -> int:
-        """Its length."""
-        return len(self.episode.reference) - 1
-
-    def draw(self, rng: np.random.Generator) -> Episode:
-        """Return the episode."""
-        return self.episode
-
-
 class DrawnEpisodes:
     """Random references and rooms; starts are windows of the training parts of recorded runs.
 

@@ -198,5 +198,5 @@ def keep(network: nn.Sequential, facts: dict[str, Any], runs: list[RecordedRun],
 def software() -> dict[str, str]:
     """Return the versions that a policy depends on."""
     return versions() | {
-        name: importlib.metadata.version(name) for name in ("stable-baselines3", "sb3-contrib", "gymnasium")
+        name: importlib.metadata.version(name) for name in ("stable-baselines3", "gymnasium")
     }

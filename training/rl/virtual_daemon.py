@@ -24,12 +24,12 @@ from edge.core.processes import die_with_parent, end_process
 from edge.lab.episodes import EpisodeSettings, draw_reference
 from edge.tick.reference import Reference
 from training.lab import Lab
-from training.rl.rig import ROOM_C, without_forecasts
 
 SOCKET = "external.sock"
 CLIENT_WAIT_S = 120.0  # a learner imports torch first
 START_PATIENCE_S = 60.0
 HOURS = 48
+ROOM_C = 22.0  # about the virtual board's; references are drawn for it
 
 
 def drawn_reference(seed: int, hours: float = HOURS) -> Reference:
@@ -41,9 +41,11 @@ def drawn_reference(seed: int, hours: float = HOURS) -> Reference:
 
 def serve(folder: Path, seed: int, speed: float | None) -> None:
     """Run until stopped. speed : simulated seconds per second, None: as fast as it goes"""
-    settings = without_forecasts(settings_in(folder, config.default()))
+    settings = settings_in(folder, config.default())
     settings = replace(
         settings,
+        bundle=replace(settings.bundle, path=""),  # its models only watch, and take most of a tick's time
+        drift=replace(settings.drift, enabled=False),
         control=replace(settings.control, controller=EXTERNAL),
         external=ExternalSettings(str(folder / SOCKET)),
     )

@@ -10,30 +10,23 @@ from torch import nn
 from edge.core.errors import DataError
 from edge.models.policy_actions import ACTIONS, LEVELS, command_of
 from training.data.datasets import training_runs
-from training.rl.algorithms import dagger, dqn, ppo, qr_dqn, sac
+from training.rl.algorithms import dagger, dqn
 from training.rl.algorithms.algorithm import train
-from training.rl.algorithms.pair_scores import HALFWAY, pair_scores
 from training.rl.algorithms.registry import ALGORITHMS, algorithm_of
 from training.rl.boxes import START_ROWS, BoxesNow, EpisodeBoxes, World
+from training.rl.command import POLICIES, folder_of
 from training.rl.episodes import DrawnEpisodes, recorded_observations
 from training.rl.models import LstmModel
 from training.rl.read_model import read_model
 from training.rl.reward import Weights
 from training.rl.settings import DqnSettings
 from training.rl.study import export, world_of
-from training.rl.tune import main as tune
 
 FACTS = {
     "variant": "RL-Off", "sample_s": 60.0, "model": "pbm", "model_sha256": "", "data_sha256": "",
     "command": "", "seed": 0, "settings": {}, "metrics": {},
 }  # fmt: skip
-REPLAY = {"steps": 480, "hidden": (16,), "batch": 16, "learning_starts": 64}
-AGENTS = {  # name -> its file, settings of a short training, actions of what the library predicts
-    "DQN": (dqn, DqnSettings(**REPLAY), np.asarray),
-    "QR-DQN": (qr_dqn, qr_dqn.QrDqnSettings(**REPLAY, quantiles=5), np.asarray),
-    "PPO": (ppo, ppo.PpoSettings(steps=480, hidden=(16,), rollout=10, batch=40, epochs=2), np.asarray),
-    "SAC": (sac, sac.SacSettings(**REPLAY), sac.nearest_actions),
-}
+SMALL = DqnSettings(steps=480, hidden=(16,), batch=16, learning_starts=64)
 
 
 @pytest.fixture(scope="module")
@@ -46,50 +39,32 @@ def world(runs):
     return world_of("RL-Off", "pbm", runs)
 
 
-@pytest.mark.parametrize("name", AGENTS)
-def test_a_rig_chooses_as_the_library_predicts(name, world, runs, tmp_path):
-    module, settings, actions_of = AGENTS[name]
-    agent = train(module.make_agent(world, 1, settings), settings.steps)
-    assert agent.num_timesteps == settings.steps
+def test_a_rig_chooses_as_the_library_predicts(world, runs, tmp_path):
+    agent = train(dqn.make_agent(world, 1, SMALL), SMALL.steps)
+    assert agent.num_timesteps == SMALL.steps
     observations = recorded_observations(runs)
-    policy = export(module.network_of(agent), "RL-Off", observations, FACTS, tmp_path / "p.onnx")
+    policy = export(dqn.network_of(agent), "RL-Off", observations, FACTS, tmp_path / "p.onnx")
     # Far from what was recorded too, where duties and fans come to their ends.
     seen = np.concatenate([observations, 20.0 * observations])
-    expected = actions_of(agent.predict(seen, deterministic=True)[0])
+    expected = agent.predict(seen, deterministic=True)[0]
     chosen = policy.values(seen.astype(float)).argmax(axis=1)
     assert len(np.unique(expected)) > 1
     assert (chosen == expected).all()
 
 
-def test_every_agent_of_the_registry_is_held_against_its_library():
-    assert set(AGENTS) == set(ALGORITHMS) - {"DAgger"}
+def test_all_learn_with_the_same_steps():
+    assert {row.settings.steps for row in ALGORITHMS.values()} == {DqnSettings().steps}
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
-def test_all_learn_with_the_same_steps_and_settings_in_use_are_one_of_the_trials(name):
-    row = ALGORITHMS[name]
-    assert row.settings.steps == DqnSettings().steps
-    assert name == "DQN" or (row.settings in row.trials and len(row.trials) == 6)
-
-
-def test_ppo_takes_no_step_more():
-    """stable-baselines3 ends a training with a whole rollout."""
-    for trial in ppo.TRIALS:
-        assert trial.steps % (trial.boxes * trial.rollout) == 0
-
-
-def test_an_algorithm_that_is_not_known_is_named(capsys):
-    with pytest.raises(DataError, match="no 'A3C'; known: DQN, QR-DQN"):
+def test_an_algorithm_that_is_not_known_is_named():
+    with pytest.raises(DataError, match="no 'A3C'; known: DQN, DAgger"):
         algorithm_of("A3C")
-    assert (tune(["A3C"]), tune(["DQN"])) == (2, 2)
-    assert "DQN has no trials" in capsys.readouterr().err
 
 
-def test_a_pair_drives_the_nearest_level_and_its_fan():
-    pairs = np.array([[-1.0, -1.0], [-0.96, 0.1], [-0.94, -0.1], [0.0, 1.0], [0.94, -1.0], [1.0, 0.01]])
-    commands = [command_of(action) for action in sac.nearest_actions(pairs.astype(np.float32))]
-    assert [one.heater_duty for one in commands] == [0.0, 0.0, 0.05, 0.5, 0.95, 1.0]
-    assert [one.fan_on for one in commands] == [False, True, False, True, False, True]
+def test_trainings_of_an_algorithm_have_a_folder_of_their_own():
+    usual = folder_of(POLICIES, "RL-Off", "ham", 0, False)
+    assert usual == POLICIES / "rl-off" / "ham" / "seed_0"
+    assert folder_of(POLICIES, "RL-Off", "ham", 0, False, "DAgger").parts[-2] == "ham_dagger"
 
 
 def test_the_highest_score_is_the_nearest_level_also_beyond_the_ends():
@@ -97,7 +72,7 @@ def test_the_highest_score_is_the_nearest_level_also_beyond_the_ends():
     with torch.no_grad():
         pair.weight.copy_(torch.eye(2))
         pair.bias.zero_()
-    network = pair_scores(nn.Sequential(), pair, HALFWAY)
+    network = dagger.pair_scores(nn.Sequential(), pair)
     duties = torch.tensor([-3.0, 0.0, 0.024, 0.026, 0.5, 0.974, 0.976, 1.0, 40.0])
     for fan in (-0.01, 0.01):
         scores = network(torch.stack([duties, torch.full_like(duties, fan)], dim=1))
@@ -110,7 +85,7 @@ def test_a_teacher_heats_a_cold_box_and_cools_a_hot_one(world):
     air = np.array([20.0, 34.0])
     rest = np.stack([air, air, np.zeros(2)], axis=1)  # of air, wall and element
     now = BoxesNow(rest, np.zeros(2, dtype=int), np.full(2, 20.0), np.full(2, 27.0), np.zeros(2), np.zeros(2))
-    cold, hot = dagger.Teacher(world.model.twins, dagger.SETTINGS).actions(now)
+    cold, hot = dagger.Teacher(world.model.twins, dagger.DaggerSettings()).actions(now)
     assert (command_of(cold).heater_duty, command_of(cold).fan_on) == (1.0, False)
     assert (command_of(hot).heater_duty, command_of(hot).fan_on) == (0.0, True)
 
@@ -152,4 +127,4 @@ def test_a_model_that_cannot_be_planned_in_is_refused(runs):
     assert isinstance(model, LstmModel)
     world = World(model, DrawnEpisodes(runs, START_ROWS), Weights())
     with pytest.raises(DataError, match="DAgger: plans in a linear twin"):
-        dagger.learn(world, 0, dagger.SETTINGS)
+        dagger.learn(world, 0, dagger.DaggerSettings())

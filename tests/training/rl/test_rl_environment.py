@@ -17,12 +17,7 @@ from training.models.summary import best_seed, records
 from training.models.weights import load_network
 from training.models.window_network import WINDOW
 from training.rl.boxes import START_ROWS, EpisodeBoxes, World
-from training.rl.episodes import (
-    DrawnEpisodes,
-    Episode,
-    EpisodeStart,
-    RepeatedEpisode,
-)
+from training.rl.episodes import DrawnEpisodes, Episode, EpisodeStart
 from training.rl.models import Window
 from training.rl.read_model import KEPT, TRAINED, draw_twins, read_model
 from training.rl.reward import WEIGHTS, Weights, reward
@@ -162,13 +157,23 @@ def test_a_sensor_shows_steps_of_its_resolution():
     assert 24.0 < shown.mean() < 24.06
 
 
-def test_an_episode_that_is_given_is_lived_through(runs):
+class GivenEpisode:
+    """The same episode every time."""
+
+    def __init__(self, episode: Episode) -> None:
+        self.episode, self.steps = episode, len(episode.reference) - 1
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        return self.episode
+
+
+def test_an_episode_that_is_given_is_lived_through():
     steps = 5
     still = np.full(START_ROWS, 24.0)
     start = EpisodeStart(still, np.full(START_ROWS, 22.0), np.full(START_ROWS, 0.1), np.zeros(START_ROWS))
     episode = Episode(np.linspace(25.0, 26.0, steps + 1), np.full(steps + 1, 22.0), start)
     boxes = EpisodeBoxes(
-        World(read_model("ham"), RepeatedEpisode(episode), WEIGHTS["RL-Off"], EXACT),
+        World(read_model("ham"), GivenEpisode(episode), WEIGHTS["RL-Off"], EXACT),
         2,
         np.random.default_rng(0),
     )

@@ -21,12 +21,10 @@ class Algorithm:
     settings : those in use, a frozen dataclass of JSON values; `steps` of it counts environment steps
     learn : world, seed and settings -> linear layers with ReLU between, [B, features] -> [B, ACTIONS]. The
         policy takes the action of the highest output
-    trials : settings that were compared on validation episodes, those in use among them; `training.rl.tune`
     """
 
     settings: Any
     learn: Learn
-    trials: tuple[Any, ...] = ()
 
 
 def learn_by(
@@ -55,12 +53,3 @@ def train(agent: BaseAlgorithm, steps: int) -> BaseAlgorithm:
 def falling_rate(first: float, last: float) -> Callable[[float], float]:
     """Return a learning rate that falls in a straight line, by the share of the training that is left."""
     return lambda left: last + (first - last) * left
-
-
-def with_last(layers: nn.Sequential, weight: torch.Tensor, bias: torch.Tensor) -> nn.Sequential:
-    """Return `layers` with a linear layer of weight [out, in] and bias [out] at the end."""
-    last = nn.Linear(weight.shape[1], weight.shape[0])
-    with torch.no_grad():
-        last.weight.copy_(weight)
-        last.bias.copy_(bias)
-    return nn.Sequential(*layers, last)

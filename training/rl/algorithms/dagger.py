@@ -6,13 +6,13 @@ alone, and learns the teacher's answers in the states that the pupil has come to
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, mse_loss
 
 from edge.controllers.mixed_integer.problem import PlanningProblem
@@ -25,10 +25,10 @@ from edge.models.policy_actions import LEVELS, duties_and_fans
 from edge.models.policy_observation import FEATURES
 from edge.twin.model import BoxTwin
 from training.rl.algorithms.algorithm import falling_rate
-from training.rl.algorithms.pair_scores import HALFWAY, pair_scores
 from training.rl.boxes import BoxesNow, EpisodeBoxes, World
 
 Actions = NDArray[np.int64]
+HALFWAY = (torch.arange(1, LEVELS, dtype=torch.float64) - 0.5) / HEATER_LEVELS  # duties between two levels
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class DaggerSettings:
     hidden: tuple[int, ...] = (128, 128)
     asked_every: int = 10  # steps of the pupil's between two questions to the teacher
     horizon: int = 12  # of the teacher's plans [steps]
-    width: int = 20  # of its beam [nodes]
+    width: int = 60  # of its beam [nodes]
     passes: int = 6  # over all answers so far, after each round
     batch: int = 256
     learning_rate: float = 2e-3
@@ -128,7 +128,7 @@ class _Pupil:
 
     def network(self) -> nn.Sequential:
         """Return the scores of all actions."""
-        return pair_scores(self._hidden, self._pair, HALFWAY)
+        return pair_scores(self._hidden, self._pair)
 
     @torch.no_grad()
     def act(self, observation: NDArray[np.float32]) -> Actions:
@@ -159,13 +159,29 @@ class _Pupil:
                 self._optimizer.step()
 
 
-FIRST = DaggerSettings()
-TRIALS = (
-    FIRST,
-    replace(FIRST, width=60),
-    replace(FIRST, horizon=16),
-    replace(FIRST, horizon=8),
-    replace(FIRST, learning_rate=1e-3),
-    replace(FIRST, passes=3),
-)
-SETTINGS = TRIALS[1]  # the highest reward of `python -m training.rl.tune`
+@torch.no_grad()
+def pair_scores(hidden: nn.Sequential, pair: nn.Linear) -> nn.Sequential:
+    """Return the network whose highest output is the action of a pair (m, f).
+
+    hidden : layers before the pair, [B, features] -> [B, H]; pair : [B, H] -> (m, f) [B, 2]; the fan is on
+        above f = 0
+
+    Level l is chosen while the duty m lies between the thresholds t_l and t_l+1, halfway to its neighbours.
+    The lines l m - (t_1 + ... + t_l) cross there, so the highest line is that of the chosen level. The scores
+    are linear in m, hence one layer.
+    """
+    slope = torch.arange(LEVELS, dtype=torch.float64) / HEATER_LEVELS
+    offset = torch.cat([torch.zeros(1, dtype=torch.float64), HALFWAY.cumsum(0)]) / HEATER_LEVELS
+    # By the pair [ACTIONS, 2]: every level with the fan off, then with the fan on.
+    by_pair = torch.stack([slope.repeat(2), torch.tensor([-0.5, 0.5]).repeat_interleave(LEVELS)], dim=1)
+    return nn.Sequential(
+        *hidden,
+        _linear_layer(by_pair @ pair.weight.double(), by_pair @ pair.bias.double() - offset.repeat(2)),
+    )
+
+
+def _linear_layer(weight: Tensor, bias: Tensor) -> nn.Linear:
+    layer = nn.Linear(weight.shape[1], weight.shape[0])
+    layer.weight.copy_(weight)
+    layer.bias.copy_(bias)
+    return layer
