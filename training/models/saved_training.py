@@ -39,9 +39,9 @@ class SavedTraining:
 
 
 def read_trained(root: Path) -> list[SavedTraining]:
-    """Every training under `root`, by model in the order of the tables, regime and seed.
+    """Every training under `root` that has its weights, by model in the order of the tables, regime and seed.
 
-    Errors : DataError for none, for one whose model doesn't load, or for a missing model or regime
+    Errors : DataError for one whose model doesn't load, or for a model or regime of which nothing is recorded
     """
     found = [
         _read(folder, model, regime)
@@ -50,10 +50,9 @@ def read_trained(root: Path) -> list[SavedTraining]:
         for folder in sorted((root / model / regime).glob("seed_*"), key=lambda path: path.name)
         if _has_weights(folder)
     ]
-    there = {(kept.model, kept.regime) for kept in found}
     for model in MODELS:
         for regime in SCENARIOS:
-            if (model, regime) not in there:
+            if not any((root / model / regime).glob(f"seed_*/{RESULT_FILE}")):
                 raise DataError(f"{root / model / regime}: no training is kept here")
     return found
 
@@ -61,7 +60,7 @@ def read_trained(root: Path) -> list[SavedTraining]:
 def without_weights(root: Path) -> list[Path]:
     """Return the folders of trainings that are recorded without their weights, to be trained anew.
 
-    The repository has the weights that its checks read: of the LSTMs, the ones that validate best.
+    The repository has all but those of the LSTMs, of which it has the one that goes to a rig.
     """
     return [
         path.parent
