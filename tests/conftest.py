@@ -1,14 +1,17 @@
 """Hypothesis: no deadlines, since timings are not asserted; the same examples on every CI run.
 
 The files that take longest begin first, so that no worker ends with one while the others wait.
+No test reaches for an installation on this machine, nor do the Python processes that it starts.
 """
 
 import os
+import signal
 import subprocess
 import tempfile
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
+import machine_places  # first: from here on the places are hidden
 import pytest
 from hypothesis import settings
 
@@ -31,12 +34,39 @@ settings.register_profile("person", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "person")
 
 
+AT_START = str(Path(machine_places.__file__).parent)
+if AT_START not in os.environ.get("PYTHONPATH", "").split(os.pathsep):  # a worker of xdist inherits it
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (AT_START, os.environ.get("PYTHONPATH"))))
+
+for number in (signal.SIGINT, signal.SIGHUP):  # ignored in the background, which processes would inherit
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, lambda *_: None)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """One folder for what is compiled; the workers inherit its name from the process that starts them."""
     if FOLDER_VARIABLE not in os.environ:
         folder = tempfile.TemporaryDirectory(prefix="greenhouse-builds-")
         os.environ[FOLDER_VARIABLE] = folder.name
         config.add_cleanup(folder.cleanup)
+
+
+@pytest.fixture(scope="session")
+def offences(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """File of what this worker's tests and their processes did to the machine's own places."""
+    file = tmp_path_factory.mktemp("offences") / "offences"
+    os.environ[machine_places.OFFENCES] = str(file)
+    return file
+
+
+@pytest.fixture(autouse=True)
+def leave_the_machine_alone(offences: Path) -> Iterator[None]:
+    """Fail a test that reached for one of `machine_places.PLACES`."""
+    yield
+    if offences.exists():
+        found = offences.read_text()
+        offences.unlink()
+        pytest.fail(f"a test must be given paths of its own:\n{found}")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -98,6 +98,7 @@ PLACES = """
 state_file: {folder}/state.json
 control_socket: {{path: {folder}/daemon.sock}}
 history: {{path: {folder}/history.db}}
+bundle: {{path: {folder}/bundles, trusted_keys: {folder}/keys}}
 board: {{port: {folder}/no-board}}
 control: {{step_s: 5, controller: rules}}
 """
@@ -145,7 +146,7 @@ def test_an_installed_bundle_without_a_twin_leaves_the_rig_to_the_arx() -> None:
 
 
 def test_the_first_start_says_who_controls(tmp_path: Path) -> None:
-    text = PLACES.replace("control: {{step_s: 5, controller: rules}}", "bundle: {{path: {folder}/bundles}}")
+    text = PLACES.replace("control: {{step_s: 5, controller: rules}}", "")
     with Daemon(config.parse(text.format(folder=tmp_path)), RealClock()) as daemon:
         assert daemon._loop is not None
         assert daemon._loop.status().operation.controller == "MPC-P"

@@ -47,6 +47,9 @@ def rig(tmp_path) -> Path:
         database.execute("CREATE TABLE ticks (seq INTEGER PRIMARY KEY, utc REAL)")
         database.executemany("INSERT INTO ticks VALUES (?, ?)", ((k, 60.0 * k) for k in range(1000)))
         database.commit()
+    (root / "page").mkdir()
+    with closing(sqlite3.connect(root / "page/page.db")) as database:
+        database.execute("CREATE TABLE links (name TEXT)")
     return config
 
 
@@ -57,11 +60,12 @@ def settings_in(root: Path) -> dict:
         "bundle": {"path": str(root / "var/bundles"), "trusted_keys": str(root / "etc/keys")},
         "drift": {"reports": str(root / "var/diagnosis")},
         "control_socket": {"path": str(root / "control.sock")},
+        "page": {"folder": str(root / "page")},
     }
 
 
 def contents(root: Path) -> dict[str, bytes]:
-    files = (path for path in root.rglob("*") if path.is_file() and "history.db" not in path.name)
+    files = (path for path in root.rglob("*") if path.is_file() and ".db" not in path.name)
     return {str(path.relative_to(root)): path.read_bytes() for path in files}
 
 
@@ -87,7 +91,7 @@ def test_everything_comes_back(rig, tmp_path):
     restored = list(restore(out, rig, replaces=False))
     assert contents(root) == before and rows(root / "var/history.db") == ticks
     assert (root / "etc/credentials/secret_mqtt").stat().st_mode & 0o777 == 0o600
-    assert len(restored) == 11
+    assert len(restored) == 12 and str(root / "page/page.db") in restored
     assert not [path for path in tmp_path.rglob(".*")]
 
 

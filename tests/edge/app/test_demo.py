@@ -12,11 +12,21 @@ from pathlib import Path
 import pytest
 
 from tests.support.broker import Broker, Listener, needs_mosquitto
+from tests.support.daemon_process import ROOT
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow
 
 DEMO = [sys.executable, "-m", "edge", "demo"]
+MODULES = os.pathsep.join((str(ROOT), os.environ["PYTHONPATH"]))  # from any folder
+
+
+@pytest.fixture(autouse=True)
+def short_path(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder without other demos of this user, whose sockets have names that are short enough."""
+    with tempfile.TemporaryDirectory(prefix="gh") as folder:
+        monkeypatch.setenv("TMPDIR", folder)
+        yield Path(folder)
 
 
 def test_twenty_minutes_heat_the_box_and_end_with_the_heater_off(tmp_path: Path) -> None:
@@ -34,7 +44,7 @@ def test_twenty_minutes_heat_the_box_and_end_with_the_heater_off(tmp_path: Path)
 def test_ctrl_c_stops_it_cleanly_with_the_heater_off(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [*DEMO, "--speed", "600"], stdout=subprocess.PIPE, text=True, start_new_session=True, cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+        env={**os.environ, "PYTHONPATH": MODULES},
     )  # fmt: skip
     assert process.stdout is not None
     first = process.stdout.readline()
@@ -83,35 +93,24 @@ def test_the_demo_names_the_program_as_it_was_called(tmp_path: Path) -> None:
     program = tmp_path / "greenhouse"
     program.write_text(f"#!{sys.executable}\nfrom edge.__main__ import main\nraise SystemExit(main())\n")
     program.chmod(0o755)
-    root = Path(__file__).parents[3]
     for path, called in (("/nowhere", str(program)), (str(tmp_path), "greenhouse")):
         done = subprocess.run(
             [str(program), "demo", "--speed", "0", "--minutes", "1"],
             capture_output=True, text=True, timeout=60, check=False,
-            env={**os.environ, "PATH": f"{path}:/usr/bin:/bin", "PYTHONPATH": str(root)},
+            env={**os.environ, "PATH": f"{path}:/usr/bin:/bin", "PYTHONPATH": MODULES},
         )  # fmt: skip
         assert done.stderr.startswith(f"in another terminal: {called} status ("), done.stderr
 
 
-@pytest.fixture
-def short_path() -> Iterator[Path]:
-    """A folder whose sockets have names that are short enough."""
-    with tempfile.TemporaryDirectory(prefix="gh") as folder:
-        yield Path(folder)
-
-
 def test_other_commands_speak_to_a_running_demo_by_themselves(short_path: Path) -> None:
-    environment = {**os.environ, "TMPDIR": str(short_path)}  # no other demo of this user
     greenhouse = DEMO[:-1]
 
     def said(*words: str) -> subprocess.CompletedProcess[str]:
         command = [*greenhouse, *words]
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=60, check=False, env=environment
-        )
+        return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
     demo = subprocess.Popen(
-        [*DEMO, "--speed", "600"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+        [*DEMO, "--speed", "600"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert demo.stdout is not None and demo.stderr is not None
     assert "in another terminal: greenhouse status" in demo.stderr.readline()
