@@ -5,10 +5,9 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +17,7 @@ import pytest
 from edge.__main__ import main
 from edge.app import setup as steps
 from edge.app.setup import QUESTIONS, SetupAnswers
-from edge.board import board_session, ports
+from edge.board import board_session, output_check, ports
 from edge.board.output_check import CHECKS, OutputRefused
 from edge.board.ports import FoundPort
 from edge.board.serial_port import SerialPort
@@ -29,7 +28,8 @@ from edge.twin.twin_file import read_twin_file
 from firmware_protocol.messages import Capability, ResetCause
 from firmware_protocol.virtual_board.board_config import BoardConfig
 from firmware_protocol.virtual_board.board_samples import Samples
-from tests.support.virtual_board import VirtualBoard
+from tests.support.broker import PATIENCE_S, wait_for
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 pytest_plugins = ["rig_places"]
 
@@ -476,8 +476,8 @@ def test_a_file_of_answers_holds_what_was_answered(folder: Path) -> None:
 def test_the_dialogue_with_a_board_at_its_line(
     board: VirtualBoard, person: Person, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("fan", "led"):
-        monkeypatch.setitem(CHECKS, name, replace(CHECKS[name], seconds=5.0))
+    monkeypatch.setattr(output_check, "SAMPLES", 2)  # they come once a second
+    monkeypatch.setitem(CHECKS, "fan", replace(CHECKS["fan"], seconds=1.0))
     code, out = person(SCRIPT, port=str(board.port))
     assert code == 0 and "Its effect is seen." in out and "Air temperature" in out
     settings = loading.load(folder / "edge.yaml")
@@ -501,38 +501,32 @@ def test_a_busy_port_is_said_and_tried_again(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("end", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9), (signal.SIGHUP, -1)])
-def test_a_setup_that_ends_in_the_middle_of_a_test_leaves_nothing_driven(
-    board: VirtualBoard, folder: Path, end: signal.Signals, code: int
-) -> None:
-    words = ["setup", "--config", str(folder / "edge.yaml"), "--port", str(board.port)]
-    usual = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored
-    with subprocess.Popen(
-        [sys.executable, "-m", "edge", *words],
-        stdin=subprocess.PIPE,
-        env=os.environ,
-        text=True,
-        preexec_fn=usual,
-    ) as process:
-        try:
-            assert process.stdin is not None
-            process.stdin.write("yes\n")
-            process.stdin.flush()
-            while not heats(board):
-                assert process.poll() is None
-                time.sleep(0.1)
-            process.send_signal(end)
-            assert process.wait() == code
-        finally:
-            process.kill()
-    wait_until_off(board)
+def test_a_setup_that_ends_in_the_middle_of_a_test_leaves_nothing_driven(folder: Path) -> None:
+    ends = {signal.SIGINT: 130, signal.SIGKILL: -signal.SIGKILL, signal.SIGHUP: -signal.SIGHUP}
+    with ThreadPoolExecutor(len(ends)) as at_once:
+        for end in [at_once.submit(end_a_setup, folder / key.name, key, code) for key, code in ends.items()]:
+            end.result()
+
+
+def end_a_setup(folder: Path, end: signal.Signals, code: int) -> None:
+    """End the dialogue of a board of its own while the heater is checked."""
+    folder.mkdir()
+    with virtual_board(folder, "--real-time") as board:
+        words = ["setup", "--config", str(folder / "edge.yaml"), "--port", str(board.port)]
+        command = [sys.executable, "-m", "edge", *words]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, text=True) as process:
+            try:
+                assert process.stdin is not None
+                process.stdin.write("yes\n")
+                process.stdin.flush()
+                wait_for(lambda: heats(board) or process.poll() is not None)
+                process.send_signal(end)
+                assert process.wait(PATIENCE_S) == code
+            finally:
+                process.kill()
+        wait_for(lambda: not heats(board))
     assert not (folder / "edge.yaml").exists()
 
 
 def heats(board: VirtualBoard) -> bool:
     return bool(board.truth()["pins"]["heater_relay"])
-
-
-def wait_until_off(board: VirtualBoard) -> None:
-    while heats(board):
-        time.sleep(0.1)
