@@ -7,6 +7,7 @@ No test reaches for an installation on this machine, nor do the Python processes
 import os
 import signal
 import subprocess
+import sys
 import tempfile
 from collections.abc import Generator, Iterator
 from pathlib import Path
@@ -73,6 +74,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Stable: within a file, and among the others, the order stays."""
     place = {name: number for number, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: place.get(Path(item.path).stem, len(place)))
+
+
+def pytest_sessionfinish() -> None:
+    """End the browsers that tests share, if any did."""
+    if shared := sys.modules.get("tests.support.browser"):
+        shared.quit_shared_browsers()
 
 
 @pytest.hookimpl(wrapper=True)

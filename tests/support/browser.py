@@ -19,20 +19,61 @@ OPTIONS = (
 @contextmanager
 def browser(size: tuple[int, int] = DESK, dark: bool = False) -> Iterator[WebDriver]:
     """Yield a browser with a profile of its own."""
+    driver = _start()
+    try:
+        _show(driver, size, dark)
+        yield driver
+    finally:
+        driver.quit()
+
+
+_idle: list[WebDriver] = []
+
+
+@contextmanager
+def shared_browser(size: tuple[int, int] = DESK, dark: bool = False) -> Iterator[WebDriver]:
+    """Yield a browser that other tests used before, unless they failed; it has forgotten them."""
+    driver = _idle.pop() if _idle else _start()
+    try:
+        _show(driver, size, dark)
+        yield driver
+        _forget(driver)
+    except BaseException:
+        driver.quit()
+        raise
+    _idle.append(driver)
+
+
+def quit_shared_browsers() -> None:
+    """End them; `tests/conftest.py` calls this."""
+    while _idle:
+        _idle.pop().quit()
+
+
+def _start() -> WebDriver:
     assert not missing(), f"apt install {' '.join(missing())}"
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium") or ""
     for word in OPTIONS:
         options.add_argument(word)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
-    try:
-        resize(driver, size)
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
-        yield driver
-    finally:
-        driver.quit()
+    return webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+
+
+def _show(driver: WebDriver, size: tuple[int, int], dark: bool) -> None:
+    resize(driver, size)
+    scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+
+
+def _forget(driver: WebDriver) -> None:
+    """Forget the pages seen, as a new profile would."""
+    origin = driver.execute_script("return location.origin")
+    driver.get("about:blank")
+    if origin.startswith("http"):
+        driver.execute_cdp_cmd("Storage.clearDataForOrigin", {"origin": origin, "storageTypes": "all"})
+    driver.execute_cdp_cmd("Network.clearBrowserCookies", {})
+    driver.get_log("browser")
 
 
 def resize(driver: WebDriver, size: tuple[int, int]) -> None:

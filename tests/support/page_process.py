@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from http.cookiejar import Cookie
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import requests
@@ -18,7 +19,8 @@ from edge.core.processes import die_with_parent
 from edge.page.access import DAY_S, Access, Role
 from edge.page.cookie import COOKIE
 from tests.support.broker import free_port, wait_for
-from tests.support.daemon_process import ROOT, configuration
+from tests.support.daemon_process import ROOT, DaemonProcess, configuration
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 END_S = 15.0
 
@@ -126,6 +128,32 @@ def page_of(folder: Path, sections: Mapping[str, Any] | None = None, **page: Any
         yield running
     finally:
         running.kill()
+
+
+@contextmanager
+def rig_with_page(**sections: Mapping[str, Any]) -> Iterator[tuple[DaemonProcess, PageProcess, VirtualBoard]]:
+    """Start a board in real time, its daemon and its page, for the tests of a file.
+
+    sections : of the daemon's configuration
+    """
+    with (
+        TemporaryDirectory(prefix="gh-") as name,  # short, for the names of sockets
+        virtual_board(Path(name), "--real-time") as board,
+        DaemonProcess(Path(name), **sections) as daemon,
+        page_of(Path(name)) as page,
+    ):
+        yield daemon, page, board
+
+
+def as_at_first(daemon: DaemonProcess) -> None:
+    """Take back what the test before has ordered."""
+    for do, values in (
+        ("release_emergency_stop", {}),
+        ("set_mode", {"mode": "auto"}),
+        ("set_reference", {"reference_c": None}),
+        ("set_controller", {"name": None}),
+    ):
+        assert daemon.ask(do, **values)["ok"]
 
 
 def open_page(

@@ -16,7 +16,7 @@ from selenium.webdriver.common.by import By
 from edge.page.access import Role
 from edge.page.alarms import alarm_state
 from tests.support.broker import free_port, wait_for
-from tests.support.browser import PHONE, browser
+from tests.support.browser import PHONE, shared_browser
 from tests.support.daemon_process import ROOT, DaemonProcess
 from tests.support.page_process import PageProcess, open_page, page_of
 from tests.support.virtual_board import VirtualBoard
@@ -148,7 +148,7 @@ def test_the_card_tests_and_acknowledges_on_a_phone(
     with (
         DaemonProcess(folder),
         page_of(folder, {"alarms": settings(sink)}) as page,
-        browser(PHONE) as driver,
+        shared_browser(PHONE) as driver,
     ):
         open_page(driver, page, group="rig")
 

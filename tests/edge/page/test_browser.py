@@ -18,10 +18,10 @@ from selenium.webdriver.support.select import Select
 from edge.core.hard_limits import LEASE_S
 from edge.page.access import Role
 from tests.support.broker import free_port, wait_for
-from tests.support.browser import DESK, PHONE, browser
+from tests.support.browser import DESK, PHONE, shared_browser
 from tests.support.daemon_process import DaemonProcess
-from tests.support.page_process import PageProcess, open_page, page_of
-from tests.support.virtual_board import VirtualBoard
+from tests.support.page_process import PageProcess, as_at_first, open_page, page_of, rig_with_page
+from tests.support.virtual_board import VirtualBoard, virtual_board
 
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]
@@ -61,21 +61,35 @@ def serious_findings(driver: WebDriver) -> list[str]:
     return [each["id"] for each in found if each["impact"] in ("serious", "critical")]
 
 
+@pytest.fixture(scope="module")
+def whole_rig() -> Iterator[tuple[DaemonProcess, PageProcess, VirtualBoard]]:
+    with rig_with_page() as running:
+        yield running
+
+
 @pytest.fixture
-def rig(folder: Path, board: VirtualBoard) -> Iterator[tuple[DaemonProcess, PageProcess]]:
-    with DaemonProcess(folder) as daemon, page_of(folder) as page:
-        yield daemon, page
+def rig(whole_rig: tuple[DaemonProcess, PageProcess, VirtualBoard]) -> tuple[DaemonProcess, PageProcess]:
+    daemon, page, _ = whole_rig
+    as_at_first(daemon)
+    return daemon, page
+
+
+@pytest.fixture
+def board(whole_rig: tuple[DaemonProcess, PageProcess, VirtualBoard]) -> VirtualBoard:
+    return whole_rig[2]
 
 
 def heats(board: VirtualBoard) -> bool:
     return bool(board.truth()["pins"]["heater_relay"])
 
 
-@pytest.mark.parametrize(("size", "dark"), [(PHONE, False), (DESK, True)])
-def test_a_person_sees_operates_and_nothing_is_in_the_way_of_a_screen_reader(rig, board, size, dark) -> None:
+@pytest.mark.parametrize(("size", "dark", "name"), [(PHONE, False, "Ann"), (DESK, True, "Bea")])
+def test_a_person_sees_operates_and_nothing_is_in_the_way_of_a_screen_reader(
+    rig, board, size, dark, name
+) -> None:
     daemon, page = rig
-    with browser(size, dark) as driver:
-        enter(driver, page, Role.OPERATE)
+    with shared_browser(size, dark) as driver:
+        enter(driver, page, Role.OPERATE, name)
         wait_for(lambda: len(driver.find_elements(By.TAG_NAME, "canvas")) == 2)
         assert driver.execute_script("return document.documentElement.scrollWidth") <= size[0]
         tap(driver, "+")
@@ -84,7 +98,7 @@ def test_a_person_sees_operates_and_nothing_is_in_the_way_of_a_screen_reader(rig
         tap(driver, "Fan only")
         wait_for(lambda: daemon.ask("status")["operation"]["mode"] == "fan_only")
         wait_for(lambda: not heats(board))
-        wait_for(lambda: "the mode was set to fan_only, by Ann (page)" in text(driver))
+        wait_for(lambda: f"the mode was set to fan_only, by {name} (page)" in text(driver))
         for link in driver.find_elements(By.CSS_SELECTOR, "nav a"):
             driver.execute_script("arguments[0].click()", link)
             wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, ".group:not([hidden]) h2"))
@@ -93,15 +107,20 @@ def test_a_person_sees_operates_and_nothing_is_in_the_way_of_a_screen_reader(rig
         assert complaints(driver) == []
 
 
-def test_health_names_the_broker_that_is_away(folder: Path, board: VirtualBoard) -> None:
+def test_health_names_the_broker_that_is_away(rig, folder: Path) -> None:
     port = free_port()
     mqtt = {"mqtt": {"enabled": True, "host": "127.0.0.1", "port": port}}
-    with DaemonProcess(folder, port), page_of(folder, mqtt) as page, browser(PHONE) as driver:
+    with (
+        virtual_board(folder, "--real-time"),
+        DaemonProcess(folder, port),
+        page_of(folder, mqtt) as page,
+        shared_browser(PHONE) as driver,
+    ):
         enter(driver, page, Role.VIEW, group="rig")
         wait_for(lambda: "Broker\nthe broker is gone" in text(driver))
         assert re.search(r"History\nsince .* free", text(driver))
-    with DaemonProcess(folder), page_of(folder) as page, browser(PHONE) as driver:
-        enter(driver, page, Role.VIEW, group="rig")
+    with shared_browser(PHONE) as driver:
+        enter(driver, rig[1], Role.VIEW, group="rig")
         wait_for(lambda: "Broker\nnone is configured" in text(driver))
 
 
@@ -117,7 +136,7 @@ def test_a_profile_is_loaded_drawn_followed_paused_skipped_and_ended(rig, tmp_pa
     def standing() -> dict:
         return daemon.ask("status")["operation"].get("profile", {})
 
-    with browser(PHONE) as driver:
+    with shared_browser(PHONE) as driver:
         enter(driver, page, Role.OPERATE)
         driver.execute_script("document.querySelector('section[aria-label=Profile] details').open = true")
         load = driver.find_element(By.CSS_SELECTOR, "input[type=file]")
@@ -183,15 +202,15 @@ WATCH_THE_MODE = """
 
 def test_a_view_that_comes_late_does_not_bring_back_what_was(rig) -> None:
     _, page = rig
-    with browser(PHONE) as driver:
-        enter(driver, page, Role.OPERATE)
+    with shared_browser(PHONE) as driver:
+        enter(driver, page, Role.OPERATE, "Eva")
         driver.execute_async_script(ANSWER_WITH_AN_OLD_VIEW)
         tap(driver, "Fan only")
         wait_for(lambda: driver.find_element(By.CSS_SELECTOR, "header .quiet").text == "fan_only")
         driver.execute_script(WATCH_THE_MODE)
         tap(driver, "+")
         tap(driver, "Set")
-        wait_for(lambda: "the reference was set to" in text(driver))
+        wait_for(lambda: "the reference was set to 32.5 °C, by Eva (page)" in text(driver))
         assert set(driver.execute_script("return window.seen")) == {"fan_only"}
 
 
@@ -225,7 +244,7 @@ def test_a_sensor_is_calibrated_step_by_step_and_back(rig) -> None:
 
         wait_for(says, expected, 240.0)  # a point needs a minute of readings
 
-    with browser(PHONE) as driver:
+    with shared_browser(PHONE) as driver:
         enter(driver, page, Role.OPERATE, group="rig")
         found = "section[aria-label=Calibration] select"
         wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, found))
@@ -263,7 +282,7 @@ def test_a_sensor_is_calibrated_step_by_step_and_back(rig) -> None:
 
 def test_one_who_looks_calibrates_nothing(rig) -> None:
     _, page = rig
-    with browser() as driver:
+    with shared_browser() as driver:
         enter(driver, page, Role.VIEW, "guest", "rig")
         wait_for(lambda: "Soil moisture" in text(driver))
         card = driver.find_element(By.CSS_SELECTOR, "section[aria-label=Calibration]")
@@ -274,7 +293,7 @@ def test_one_who_looks_calibrates_nothing(rig) -> None:
 
 def test_the_keyboard_alone_reaches_the_stop(rig, board: VirtualBoard) -> None:
     _, page = rig
-    with browser() as driver:
+    with shared_browser() as driver:
         enter(driver, page, Role.VIEW, "guest")
         wait_for(lambda: heats(board))
         for _ in range(60):
@@ -292,7 +311,8 @@ def test_with_the_daemon_hung_a_tap_stops_and_the_page_claims_nothing_that_no_bo
     rig, board: VirtualBoard
 ) -> None:
     daemon, page = rig
-    with browser(PHONE) as driver:
+    assert daemon.ask("set_reference", reference_c=36)["ok"]
+    with shared_browser(PHONE) as driver:
         enter(driver, page, Role.OPERATE)
         wait_for(lambda: heats(board))
         wait_for(lambda: "100 %" in text(driver))
@@ -319,7 +339,7 @@ def test_with_the_daemon_hung_a_tap_stops_and_the_page_claims_nothing_that_no_bo
 
 def test_a_killed_page_is_told_as_such_and_found_again(rig, board: VirtualBoard) -> None:
     _, page = rig
-    with browser() as driver:
+    with shared_browser() as driver:
         enter(driver, page, Role.VIEW)
         page.kill()
         wait_for(lambda: "What follows is old" in text(driver))
@@ -333,7 +353,7 @@ def test_texts_from_outside_are_texts(rig, board: VirtualBoard) -> None:
     """A name is the one text that a stranger with a link can bring into the history."""
     _, page = rig
     script = "<img src=x onerror=alert(1)>"
-    with browser() as driver:
+    with shared_browser() as driver:
         enter(driver, page, Role.OPERATE, script)
         tap(driver, "Heat only")
         wait_for(lambda: f"by {script}" in text(driver))

@@ -1,7 +1,6 @@
 """Every control of the page in a real browser: what it orders, who has it, and how people get in."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,24 +11,33 @@ from test_browser import complaints, enter, heats, tap, text
 
 from edge.page.access import Role
 from tests.support.broker import wait_for
-from tests.support.browser import PHONE, browser
+from tests.support.browser import PHONE, shared_browser
 from tests.support.daemon_process import DaemonProcess
-from tests.support.page_process import PageProcess, page_of
+from tests.support.page_process import PageProcess, as_at_first, rig_with_page
 from tests.support.virtual_board import VirtualBoard
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow
-pytest_plugins = ["rig_places"]
 WISH = "keep 26 by day and 20 at night"
 CONTROLS = ("Set", "Automatic", "15 min", "Ask", "Start this profile", "Take the first point")
 
 
+@pytest.fixture(scope="module")
+def whole_rig() -> Iterator[tuple[DaemonProcess, PageProcess, VirtualBoard]]:
+    with StandIn() as model, rig_with_page(llm={"url": model.url, "model": "stand-in"}) as running:
+        yield running
+
+
 @pytest.fixture
-def rig(folder: Path, board: VirtualBoard) -> Iterator[tuple[DaemonProcess, PageProcess]]:
-    with StandIn() as model:
-        llm = {"url": model.url, "model": "stand-in"}
-        with DaemonProcess(folder, llm=llm) as daemon, page_of(folder) as page:
-            yield daemon, page
+def rig(whole_rig: tuple[DaemonProcess, PageProcess, VirtualBoard]) -> tuple[DaemonProcess, PageProcess]:
+    daemon, page, _ = whole_rig
+    as_at_first(daemon)
+    return daemon, page
+
+
+@pytest.fixture
+def board(whole_rig: tuple[DaemonProcess, PageProcess, VirtualBoard]) -> VirtualBoard:
+    return whole_rig[2]
 
 
 def buttons(driver: WebDriver) -> set[str]:
@@ -47,7 +55,7 @@ def test_every_control_of_a_person_who_operates(rig, board: VirtualBoard) -> Non
     def operation() -> dict[str, Any]:
         return dict(daemon.ask("status")["operation"])
 
-    with browser(PHONE) as driver:
+    with shared_browser(PHONE) as driver:
         enter(driver, page, Role.OPERATE)
         Select(driver.find_element(By.ID, "controller")).select_by_visible_text("rules")
         wait_for(lambda: operation()["controller"] == "rules")
@@ -84,7 +92,7 @@ def test_every_control_of_a_person_who_operates(rig, board: VirtualBoard) -> Non
 
 def test_a_killed_daemon_is_told_and_found_again(rig, board: VirtualBoard) -> None:
     daemon, page = rig
-    with browser() as driver:
+    with shared_browser() as driver:
         enter(driver, page, Role.VIEW, "guest")
         daemon.kill()
         wait_for(lambda: "The daemon does not answer" in text(driver))
@@ -96,7 +104,7 @@ def test_a_killed_daemon_is_told_and_found_again(rig, board: VirtualBoard) -> No
 
 def test_one_who_looks_has_the_stop_alone_and_an_admin_lets_people_in_and_out(rig) -> None:
     _, page = rig
-    with browser() as admin, browser(PHONE) as guest:
+    with shared_browser() as admin, shared_browser(PHONE) as guest:
         enter(admin, page, Role.ADMIN, "Ann", "rig")
         tap(admin, "Link to view for a week")
         shown = "[aria-label=link]"
@@ -122,7 +130,7 @@ def test_one_who_looks_has_the_stop_alone_and_an_admin_lets_people_in_and_out(ri
 def test_a_person_logs_in_by_name_and_password(rig) -> None:
     _, page = rig
     page.access.set_password("Eva", Role.OPERATE, "correct horse battery")
-    with browser(PHONE) as driver:
+    with shared_browser(PHONE) as driver:
         driver.get(page.base)
         wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, "input[type=password]"))
         name, password = driver.find_elements(By.CSS_SELECTOR, ".door input")

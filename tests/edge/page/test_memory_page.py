@@ -11,24 +11,20 @@ from test_browser import complaints, enter, serious_findings, tap
 
 from edge.page.access import Role
 from tests.support.broker import wait_for
-from tests.support.browser import PHONE, browser
+from tests.support.browser import PHONE, shared_browser
 from tests.support.daemon_process import DaemonProcess
-from tests.support.page_process import PageProcess, page_of
-from tests.support.virtual_board import VirtualBoard
+from tests.support.page_process import PageProcess, rig_with_page
 from training.llm_stand_in.server import StandIn
 
 pytestmark = pytest.mark.slow
-pytest_plugins = ["rig_places"]
 WISH = "keep 26 by day and 20 at night"
 NOTE = "<b>no fan</b> between 22:00 and 07:00"
 
 
-@pytest.fixture
-def rig(folder: Path, board: VirtualBoard) -> Iterator[tuple[DaemonProcess, PageProcess]]:
-    with StandIn() as model:
-        llm = {"url": model.url, "model": "stand-in"}
-        with DaemonProcess(folder, llm=llm) as daemon, page_of(folder) as page:
-            yield daemon, page
+@pytest.fixture(scope="module")
+def rig() -> Iterator[tuple[DaemonProcess, PageProcess]]:
+    with StandIn() as model, rig_with_page(llm={"url": model.url, "model": "stand-in"}) as (daemon, page, _):
+        yield daemon, page
 
 
 def test_a_reason_and_a_note_are_remembered_edited_and_forgotten(rig: Any) -> None:
@@ -37,7 +33,7 @@ def test_a_reason_and_a_note_are_remembered_edited_and_forgotten(rig: Any) -> No
     def facts() -> list[tuple[str, str]]:
         return [(fact["kind"], fact["text"]) for fact in daemon.ask("memory")["facts"]]
 
-    with browser(PHONE) as driver:
+    with shared_browser(PHONE) as driver:
         enter(driver, page, Role.OPERATE, "Ann")
 
         def fill(label: str, words: str) -> None:
@@ -88,10 +84,11 @@ def test_a_reason_and_a_note_are_remembered_edited_and_forgotten(rig: Any) -> No
 
 def test_who_only_looks_sees_and_changes_no_memory(rig: Any) -> None:
     daemon, page = rig
-    with browser(PHONE) as driver:
+    before = daemon.ask("memory")["facts"]
+    with shared_browser(PHONE) as driver:
         enter(driver, page, Role.VIEW, "guest")
         assert not driver.find_elements(By.CSS_SELECTOR, "section[aria-label='Memory']")
     client = page.client(Role.VIEW)
     for order in ({"do": "memory"}, {"do": "remember", "text": "x"}, {"do": "forget", "all": True}):
         assert client.post("/api/order", order).status_code == 403
-    assert daemon.ask("memory")["facts"] == []
+    assert daemon.ask("memory")["facts"] == before != []

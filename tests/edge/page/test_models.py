@@ -16,7 +16,7 @@ from edge.formats.run_file import absence_facts, write_run
 from edge.page.access import Role
 from edge.twin.twin_file import write_twin_file
 from tests.support.broker import wait_for
-from tests.support.browser import PHONE, browser
+from tests.support.browser import PHONE, shared_browser
 from tests.support.daemon_process import DaemonProcess
 from tests.support.page_process import Client, PageProcess, page_of
 from tests.support.simulated_runs import BOX, simulate, twin_file
@@ -140,7 +140,7 @@ def test_a_twin_is_adopted_and_taken_back_with_a_tap_and_a_yes(rig) -> None:
     def status() -> dict[str, Any]:
         return daemon.ask("bundle", action="status")
 
-    with browser(PHONE) as driver:
+    with shared_browser(PHONE) as driver:
         enter(driver, page, Role.ADMIN, group="twin")
         wait_for(lambda: "One effect is missing: heater_lag" in text(driver))
         assert driver.execute_script("return document.documentElement.scrollWidth") <= PHONE[0]
@@ -172,7 +172,7 @@ def test_a_twin_is_adopted_and_taken_back_with_a_tap_and_a_yes(rig) -> None:
 
 def test_a_viewer_has_no_button_that_would_be_refused(rig) -> None:
     _, page = rig
-    with browser() as driver:
+    with shared_browser() as driver:
         enter(driver, page, Role.VIEW, "guest", "twin")
         wait_for(lambda: "One effect is missing: heater_lag" in text(driver))
         words = {button.text for button in driver.find_elements("css selector", "main button")}

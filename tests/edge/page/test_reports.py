@@ -18,7 +18,7 @@ from edge.page import reports
 from edge.page.access import Role
 from edge.twin.twin_file import TwinFile, write_twin_file
 from tests.support.broker import wait_for
-from tests.support.browser import browser
+from tests.support.browser import shared_browser
 from tests.support.page_process import Client, PageProcess, open_page, page_of
 
 pytestmark = pytest.mark.slow
@@ -115,7 +115,7 @@ def test_a_report_is_served_so_that_nothing_in_it_can_act(guest: Client) -> None
 
 
 def test_a_hostile_report_does_nothing_in_a_browser(page: PageProcess) -> None:
-    with browser() as driver:
+    with shared_browser() as driver:
         open_page(driver, page, group="twin")
         wait_for(lambda: "Diagnosis" in driver.find_element(By.TAG_NAME, "body").text)
         wait_for(lambda: EVIL in driver.find_element(By.CSS_SELECTOR, "[aria-label=Diagnosis]").text)

@@ -20,7 +20,7 @@ from edge.page.access import Role
 from edge.page.answers import Json, NotAllowed
 from edge.page.questions import BURST, KEEP_MAX, TwinQuestions, options, run_command
 from tests.support.broker import wait_for
-from tests.support.browser import PHONE, browser
+from tests.support.browser import PHONE, shared_browser
 from tests.support.page_process import Client, PageProcess, open_page, page_of
 
 CARD = 'section[aria-label="What if"]'
@@ -134,7 +134,7 @@ def test_without_a_session_nobody_asks(page: PageProcess) -> None:
 
 @pytest.mark.slow
 def test_a_person_with_a_phone_asks_and_a_screen_reader_hears_the_answer(page: PageProcess) -> None:
-    with browser(PHONE) as driver:
+    with shared_browser(PHONE) as driver:
         open_page(driver, page, Role.VIEW, "guest", "twin")
         wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, CARD))
         card = driver.find_element(By.CSS_SELECTOR, CARD)
