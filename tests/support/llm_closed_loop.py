@@ -66,6 +66,7 @@ def run(
         prepare(folder)
         with Lab(
             settings,
+            board="here",
             folder=folder,
             recorded=True,
             with_truth=True,

@@ -73,7 +73,7 @@ def ran(folder: Path, share: float, mqtt_port: int | None = None) -> list[TickRe
     rig_with_fan(folder, share)
     enabled = str(mqtt_port is not None).lower()
     settings = config.parse(YAML.format(folder=folder, enabled=enabled, port=mqtt_port or 1883), "test")
-    with Lab(settings, folder=folder, experiment=Blows.name, more_controllers=[Blows()]) as lab:
+    with Lab(settings, board="here", folder=folder, experiment=Blows.name, more_controllers=[Blows()]) as lab:
         lab.run(MINUTES)
     return lab.history
 
