@@ -228,7 +228,10 @@ class I2cRig:
         self.clock = clock or BusClock()
         self.part = part or kind.part(self.clock)
         self.bus = Bus({kind.address: self.part}, self.clock)
-        self.measurements = [Measurement(-1, 77) for _ in range(kind.values)]
+        self.measurements = (Measurement * kind.values)(*[(-1, 77)] * kind.values)
+        self.step_driver = kind.step
+        self._references = [ctypes.byref(measurement) for measurement in self.measurements]
+        self._told = bytes(self.measurements)
         self.lag_us: Callable[[], float] = lambda: 0.0
         self.start_board()
 
@@ -241,16 +244,14 @@ class I2cRig:
         """One call: what is new"""
         now_ms = int(self.clock.us // MS) & MASK
         self.clock.us += self.lag_us()
-        before = [measurement.value for measurement in self.measurements]
         self.bus.spent_us, self.bus.transfers = 0.0, 0
-        references = map(ctypes.byref, self.measurements)
-        new = self.kind.step(ctypes.byref(self.driver), ctypes.c_uint32(now_ms), *references)
+        new = self.step_driver(self.driver, ctypes.c_uint32(now_ms), *self._references)
         assert self.bus.transfers <= 1
         assert self.bus.spent_us <= STEP_MAX_US
         self.clock.us += self.bus.spent_us
-        values = tuple(measurement.value for measurement in self.measurements)
-        assert new or list(values) == before
-        return values if new else None
+        before, self._told = self._told, bytes(self.measurements)
+        assert new or self._told == before
+        return tuple(measurement.value for measurement in self.measurements) if new else None
 
     def run(self, seconds: float, round_us: float = 3700.0) -> list[tuple[float, tuple]]:
         """Return the new measurements, each with its time [s]."""
