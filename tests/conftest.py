@@ -53,11 +53,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(scope="session")
-def offences(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """File of what this worker's tests and their processes did to the machine's own places."""
+def offences(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """File of what this worker's tests and their processes did to the machine's own places.
+
+    Demos that tests start are not among this person's: their folder is below TMPDIR.
+    """
     file = tmp_path_factory.mktemp("offences") / "offences"
     os.environ[machine_places.OFFENCES] = str(file)
-    return file
+    with tempfile.TemporaryDirectory(prefix="gh-") as short, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", short)
+        yield file
 
 
 @pytest.fixture(autouse=True)

@@ -49,6 +49,11 @@ class DaemonProcess:
     def __exit__(self, *_: object) -> None:
         self.kill()
 
+    @property
+    def command(self) -> list[str]:
+        """Return its command line."""
+        return run_command(self.config)
+
     def start(self) -> None:
         """Start, and wait for the first tick."""
         self.launch()
@@ -59,7 +64,7 @@ class DaemonProcess:
         """Start, and wait for nothing."""
         with self._log.open("ab") as log:
             self.process = subprocess.Popen(
-                run_command(self.config), stdout=log, stderr=log, cwd=ROOT, preexec_fn=die_with_parent
+                self.command, stdout=log, stderr=log, cwd=ROOT, preexec_fn=die_with_parent
             )
 
     def kill(self) -> None:

@@ -131,15 +131,17 @@ def page_of(folder: Path, sections: Mapping[str, Any] | None = None, **page: Any
 
 
 @contextmanager
-def rig_with_page(**sections: Mapping[str, Any]) -> Iterator[tuple[DaemonProcess, PageProcess, VirtualBoard]]:
+def rig_with_page(
+    kind: type[DaemonProcess] = DaemonProcess, **sections: Mapping[str, Any]
+) -> Iterator[tuple[DaemonProcess, PageProcess, VirtualBoard]]:
     """Start a board in real time, its daemon and its page, for the tests of a file.
 
-    sections : of the daemon's configuration
+    kind, sections : of the daemon, and of its configuration
     """
     with (
         TemporaryDirectory(prefix="gh-") as name,  # short, for the names of sockets
         virtual_board(Path(name), "--real-time") as board,
-        DaemonProcess(Path(name), **sections) as daemon,
+        kind(Path(name), **sections) as daemon,
         page_of(Path(name)) as page,
     ):
         yield daemon, page, board

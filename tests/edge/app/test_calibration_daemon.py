@@ -74,7 +74,7 @@ def test_two_points_in_water_correct_the_sensor_for_good(tmp_path: Path) -> None
         on_tick=script.tick,
     ) as lab:
         script.lab = lab
-        lab.run(minutes=150)
+        lab.run(minutes=75)
         saved = json.loads((tmp_path / "state.json").read_text())["operation"]
         lab.run(minutes=10)  # after a power cut
     refused = [answer["error"] for answer in script.answers if not answer["ok"]]
@@ -91,8 +91,8 @@ def test_two_points_in_water_correct_the_sensor_for_good(tmp_path: Path) -> None
     events = [event for record in lab.history[APPLIED - 1 :] for event in record.events]
     assert not [event for event in events if event.severity.value != "info"], events
     assert {"calibration.changed", "calibration.holds"} <= {event.key for event in events}
-    assert len(lab.history) == 160
+    assert len(lab.history) == 85
     (learnt,) = FactBook(settings.history.path, lambda: 0.0).newest_first()
     assert (learnt.kind, learnt.text[:16]) == (FactKind.LEARNT, "temp_air is now ")
     # An export for a fit never crosses the moment.
-    assert [len(run) for run in export_stretches(settings.history.path)] == [APPLIED - 1, 90, 10]
+    assert [len(run) for run in export_stretches(settings.history.path)] == [APPLIED - 1, 15, 10]
