@@ -26,9 +26,9 @@ _LONGEST_REQUEST = 1024
 _CONFIG = struct.Struct("<QBBBHHhHHHB")
 
 
-def compile_driver(directory: Path) -> Path:
+def compile_driver(target: Path) -> Path:
     """The driver program, with the sanitizers."""
-    return compile_board(directory / "board_driver", str(DRIVER_SOURCE), *STRICT, *SANITIZERS)
+    return compile_board(target, str(DRIVER_SOURCE), *STRICT, *SANITIZERS)
 
 
 class Driver:

@@ -6,12 +6,15 @@ The C board as the virtual board loads it is held against the Python board in te
 import functools
 
 import pytest
-from board_kinds import Driver, SanitizedBoard, compile_driver, python_board
+from board_kinds import DRIVER_SOURCE, Driver, SanitizedBoard, compile_driver, python_board
+
+from tests.support import c_core
+from tests.support.builds import built
 
 
 @pytest.fixture(scope="session")
-def driver_program(tmp_path_factory):
-    return compile_driver(tmp_path_factory.mktemp("driver"))
+def driver_program():
+    return built("board_driver", compile_driver, [DRIVER_SOURCE, *c_core.SOURCES.glob("gh_*")])
 
 
 @pytest.fixture(scope="module", params=["python", "c"])
