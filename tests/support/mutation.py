@@ -115,16 +115,17 @@ def function_mutants(module: ModuleType) -> Iterator[Mutant]:
         for f in gc.get_objects()
         if isinstance(f, FunctionType) and f.__code__.co_filename == path
     }
-    tree = ast.parse(source)
-    for node in list(ast.walk(tree)):
-        for _, changed in changes(node):
-            mutated = ast.fix_missing_locations(_Replace(node, changed).visit(copy_with(tree, node)))
-            codes = {_place(code): code for code in _codes(compile(mutated, path, "exec"))}
-            differing = [p for p, f in functions.items() if p in codes and f.__code__ != codes[p]]
-            if differing:
-                line = lines[node.lineno - 1].strip()
-                name = f"{module.__name__}: {ast.unparse(changed)}  in  {line}"
-                yield Mutant(name, _code_swap([(functions[p], codes[p]) for p in differing]))
+    for statement in ast.parse(source).body:  # compiled alone: its functions' places are the same
+        for node in list(ast.walk(statement)):
+            for _, changed in changes(node):
+                mutated = _Replace(node, changed).visit(copy_with(statement, node))
+                module_of_it = ast.fix_missing_locations(ast.Module([mutated], []))
+                codes = {_place(code): code for code in _codes(compile(module_of_it, path, "exec"))}
+                differing = [p for p, f in functions.items() if p in codes and f.__code__ != codes[p]]
+                if differing:
+                    line = lines[node.lineno - 1].strip()
+                    name = f"{module.__name__}: {ast.unparse(changed)}  in  {line}"
+                    yield Mutant(name, _code_swap([(functions[p], codes[p]) for p in differing]))
 
 
 def copy_with(tree: ast.AST, node: ast.AST) -> ast.AST:
