@@ -1,6 +1,7 @@
 """python -m bench.boxes.draw: draw heated boxes from seeds, and print those that are used."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -211,11 +212,11 @@ def _with_heater(facts: BoxFacts, power_w: float, lag_s: float) -> BoxFacts:
     )
 
 
-def table() -> list[str]:
-    """Return the lines of a table of all boxes that are used, 80 columns wide."""
+def table(seeds: Sequence[int] = (*DEVELOPMENT, *SCORED)) -> list[str]:
+    """Return the lines of a table of these boxes, of all that are used, 80 columns wide."""
     head = "                litres heater    W fan m3/h rise  fan 63 %  95 % room none"
     units = "                                              K    K  min     h   C"
-    return [head, units, *(_row(draw_box(seed)) for seed in (*DEVELOPMENT, *SCORED))]
+    return [head, units, *(_row(draw_box(seed)) for seed in seeds)]
 
 
 def _row(facts: BoxFacts) -> str:

@@ -6,6 +6,7 @@ import pytest
 
 from bench.attack import answers, files, floods, payloads, scenarios
 from bench.attack.part import Part, TrialResult
+from bench.attack.plan import draw
 from tests.support.broker import needs_mosquitto
 
 PATIENT_S = 10.0  # for a stop where tests run beside it: the bench asks for 1 s
@@ -18,7 +19,12 @@ def violations(part: Part, seed: int, count: int) -> list[str]:
 
 
 def test_random_faults_kills_and_full_disks_break_no_invariant() -> None:
-    seeds = range(3)
+    seeds = (20, 25)  # the C board, killed twice; a disk that is full, a kill, and faults of line and rig
+    cores = {plan.core for plan in map(draw, seeds)}
+    lives = [life for plan in map(draw, seeds) for life in plan.lives]
+    assert cores == {"c", "python"}
+    assert any(life.killed for life in lives)
+    assert any(life.file_max for life in lives)
     assert [text for each in map(scenarios.one, seeds) for text in each.violations] == []
 
 

@@ -13,7 +13,7 @@ AT_ONCE = KillPlan("emergency_stop", "socket", 30.0, 0.0, 0.0, 20.0, False, None
 
 @needs_mosquitto
 def test_no_actuator_moves_after_an_acknowledged_stop_and_a_kill():
-    assert run(6, seed=4, core="python") == 0
+    assert run(3, seed=4, core="python") == 0
 
 
 def test_a_stop_that_is_lost_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
