@@ -3,13 +3,16 @@
 `test_manual` runs the page's other code.
 """
 
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
+from notebooks import short_example
+
+from edge.twin.effects.library import EFFECTS
+from tests.support.simulated_runs import candidates_only
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/add-an-effect.md").read_text(encoding="utf-8")
@@ -31,10 +34,14 @@ def test_the_example_is_the_code_of_this_repository(block: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_search_prints_what_the_page_says(tmp_path: Path) -> None:
-    for name, title in (("my_effect.py", "my_effect.py"), ("seek.py", "seek.py, less than a minute")):
-        (tmp_path / name).write_text(TITLED[title], encoding="utf-8")
-    command = [sys.executable, str(tmp_path / "seek.py")]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-    assert done.stdout == TITLED["seek.py prints"], done.stderr
+def test_the_search_prints_what_the_page_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "my_effect.py").write_text(TITLED["my_effect.py"], encoding="utf-8")
+    short_example(tmp_path, 2, 60)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    with patch.dict(EFFECTS), candidates_only("heater_lag", "infiltration", "sensor_lag"):
+        exec(TITLED["seek.py, less than a minute"], {})
+    del sys.modules["my_effect"]
+    assert capsys.readouterr().out == TITLED["seek.py prints"]

@@ -1,8 +1,10 @@
 """Runs that a twin has made, with noise of every kind that a diagnosis reckons with, from fixed seeds."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from edge.diagnosis.runs import DiagnosisRuns, diagnosis_runs
 from edge.diagnosis.search import Search
 from edge.diagnosis.side_by_side import SideBySide
 from edge.formats.run_file import RecordedRun
+from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS
 from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -30,6 +33,13 @@ QUIET = NoiseLevels(sensor_k=1e-6, room_k=0.0, heat_w=0.0, heat_tau_s=600.0, pow
 
 def silent(text: str, share: float = 0.0) -> None:
     """Progress that nobody wants to see."""
+
+
+@contextmanager
+def candidates_only(*names: str) -> Iterator[None]:
+    """Let a diagnosis look for these effects alone, where the time for all others would tell nothing."""
+    with patch.dict(USUAL_EFFECTS, {name: EFFECTS[name] for name in names}, clear=True):
+        yield
 
 
 def known_effects(effects: Effects = BOX) -> dict[str, dict[str, Value]]:

@@ -15,7 +15,6 @@ from jsonschema import Draft202012Validator, ValidationError
 
 from edge import DiagnosisResult, Run, Twin, diagnose
 from edge.core.errors import DataError
-from edge.diagnosis import candidates
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.cannot_tell import cannot_tell
 from edge.diagnosis.experiment.advice import calibration, checks
@@ -29,12 +28,19 @@ from edge.twin.network import Network
 from edge.twin.schema import schema
 from edge.twin.twin_file import read_twin_file
 from edge.twin.value import Value
-from tests.support.simulated_runs import BOX, QUIET, as_diagnosis_runs, change_run, simulate, twin_file
+from tests.support.simulated_runs import (
+    BOX,
+    QUIET,
+    as_diagnosis_runs,
+    candidates_only,
+    change_run,
+    simulate,
+    twin_file,
+)
 
 ROOT = Path(__file__).parents[3]
 # Whole models that are made of effects, in which a new one has no part.
 MODELS = {
-    "edge/app/rest_offset.py": "what two sensors differ by while nothing warms the box",
     "edge/diagnosis/baselines.py": "the simple models of the literature that every twin has to beat",
     "edge/twin/new_file.py": "the first twin file of a box: loss, capacity and fan",
 }
@@ -129,10 +135,8 @@ def test_its_measurement_is_offered() -> None:
 @pytest.fixture(scope="module")
 def found() -> DiagnosisResult:
     """The diagnosis of runs in which it acts, by a twin that lacks it."""
-    few = {name: USUAL_EFFECTS[name] for name in (*FEW, "ballast_heat")}
-    runs = [simulate({**BOX, **HIDDEN}, seed, 60) for seed in (1, 2, 3)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(candidates, "USUAL_EFFECTS", few)
+    runs = [simulate({**BOX, **HIDDEN}, seed, 60) for seed in (1, 2)]
+    with candidates_only(*FEW, "ballast_heat"):
         return diagnose(Twin(twin_file()), [Run(run.path.name, run) for run in runs])
 
 

@@ -6,13 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.diagnosis import candidates
 from edge.diagnosis.diagnose import Diagnosis, diagnose
 from edge.formats.run_file import RecordedRun, cut
-from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
-from tests.support.simulated_runs import BOX, as_diagnosis_runs, change_run, silent, simulate, twin_file
+from tests.support.simulated_runs import (
+    BOX,
+    as_diagnosis_runs,
+    candidates_only,
+    change_run,
+    silent,
+    simulate,
+    twin_file,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -25,9 +31,7 @@ Change = Callable[[Sequence[RecordedRun]], Sequence[RecordedRun]]
 @pytest.fixture(autouse=True, scope="module")
 def _few_candidates() -> Iterator[None]:
     """What is asked here does not depend on how many effects there are; time goes with them."""
-    few = {name: effect for name, effect in USUAL_EFFECTS.items() if name in CANDIDATES}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(candidates, "USUAL_EFFECTS", few)
+    with candidates_only(*CANDIDATES):
         yield
 
 

@@ -7,13 +7,19 @@ from functools import cache
 import numpy as np
 import pytest
 
-from edge.diagnosis import candidates as module
 from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.search import RIVAL_NATS, Round, Search
 from edge.formats.run_file import RecordedRun
-from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.value import Value
-from tests.support.simulated_runs import BOX, Effects, change_run, search_over, simulate, twin_file
+from tests.support.simulated_runs import (
+    BOX,
+    Effects,
+    candidates_only,
+    change_run,
+    search_over,
+    simulate,
+    twin_file,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -34,8 +40,7 @@ LAG, LAG_AND_LEAK, WEAK_FAN = ("heater_lag",), ("heater_lag", "infiltration"), (
 
 @pytest.fixture(autouse=True, scope="module")
 def few_candidates() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "USUAL_EFFECTS", {name: USUAL_EFFECTS[name] for name in CANDIDATES})
+    with candidates_only(*CANDIDATES):
         yield
 
 
@@ -137,13 +142,13 @@ def test_candidates_are_what_the_file_has_not_and_the_runs_have_columns_for() ->
     assert set(search.candidates.names) - set(dark.candidates.names) == {"led_gain"}
 
 
-def test_a_door_is_a_candidate_only_where_one_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "USUAL_EFFECTS", USUAL_EFFECTS)
+def test_a_door_is_a_candidate_only_where_one_was_found() -> None:
     search, _ = searched()
-    assert "door_opening" not in search.candidates.names
     opened = {**search.runs.conditions, "door_open": np.zeros_like(search.runs.duty)}
     runs = replace(search.runs, conditions=opened)
-    assert "door_opening" in Search(search.file, runs, search.progress).candidates.names
+    with candidates_only("door_opening"):
+        assert Search(search.file, search.runs, search.progress).candidates.names == []
+        assert Search(search.file, runs, search.progress).candidates.names == ["door_opening"]
 
 
 def test_a_loss_that_a_wall_replaces_is_no_candidate() -> None:

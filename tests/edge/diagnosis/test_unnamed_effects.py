@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.diagnosis import candidates
 from edge.diagnosis.candidates import Candidates
 from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.handover import OPEN, JudgedTwin, free_values
@@ -16,7 +15,14 @@ from edge.twin.effects.library import EFFECTS, UNNAMED_EFFECTS
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.value import Value
-from tests.support.simulated_runs import NOISE, as_diagnosis_runs, silent, simulate, twin_file
+from tests.support.simulated_runs import (
+    NOISE,
+    as_diagnosis_runs,
+    candidates_only,
+    silent,
+    simulate,
+    twin_file,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -63,49 +69,48 @@ def test_a_march_of_single_steps_is_the_rollout() -> None:
 
 
 def test_values_that_the_runs_contradict_are_opened_and_that_is_said() -> None:
-    runs = [simulate({"wall_loss": {"UA": 9.0}, "extra_capacity": {"kC": 10.0}}, seed) for seed in (1, 2, 3)]
+    box = {"wall_loss": {"UA": 9.0}, "extra_capacity": {"kC": 10.0}}
+    runs = [simulate(box, seed, 80) for seed in (1, 2)]
     wrong = {("effects", "wall_loss", "UA"): Value(3.0, rel_sd=0.1)}
     file = twin_file().with_values(wrong)
-    found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
+    with candidates_only("heater_lag", "infiltration"):
+        found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
     fitted = found.adopted.effects["wall_loss"]["UA"]
     assert fitted.value == pytest.approx(9.0, rel=0.1) or found.verdict.kind == "named"
     if OPEN in found.judgement.handover.added:
         assert any("wall_loss.UA is" in line for line in found.judgement.notes)
 
 
-def test_a_known_effect_of_a_fan_that_never_runs_is_no_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = {"heater_efficiency": EFFECTS["heater_efficiency"]}
-    monkeypatch.setattr(candidates, "USUAL_EFFECTS", few)
+def test_a_known_effect_of_a_fan_that_never_runs_is_no_stand_in() -> None:
     file = twin_file({**BASE, "fan_heat": {"P_fan": 3.0}})
     runs = [
         simulate(BASE, seed, 60, fan=False, further=lambda _, __, excess: 12.0 * np.sin(excess))
-        for seed in (1, 2, 3)
+        for seed in (1, 2)
     ]
-    found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
+    with candidates_only("heater_efficiency"):
+        found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
     assert "fan_heat" in found.adopted.effects  # as the file has it
 
 
-def test_a_heater_that_fades_in_warm_air_stands_in_without_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = {"fan_deadtime": EFFECTS["fan_deadtime"]}
-    monkeypatch.setattr(candidates, "USUAL_EFFECTS", few)
-    runs = [simulate({**BASE, "heater_derating": {"k_P": 0.02}}, seed) for seed in (1, 2, 3)]
+def test_a_heater_that_fades_in_warm_air_stands_in_without_a_name() -> None:
+    runs = [simulate({**BASE, "heater_derating": {"k_P": 0.02}}, seed, 80) for seed in (1, 2)]
     file = twin_file(BASE)
-    found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
+    with candidates_only("fan_deadtime"):
+        found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
     assert not found.verdict.effects
     assert found.adopted.effects["heater_derating"]["k_P"].value == pytest.approx(0.02, rel=0.1)
 
 
-def test_what_no_term_follows_is_not_taken_for_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(candidates, "USUAL_EFFECTS", {"fan_deadtime": EFFECTS["fan_deadtime"]})
-
+def test_what_no_term_follows_is_not_taken_for_noise() -> None:
     def weather(duty: np.ndarray, *_: np.ndarray) -> np.ndarray:
         """25 W to the box or from it by the quarter of an hour, which nothing measures."""
         signs = np.random.default_rng(len(duty)).choice([-1.0, 1.0], len(duty) // 15 + 1)
         return 25.0 * np.repeat(signs, 15)[: len(duty)]
 
-    runs = [simulate(BASE, seed, further=weather) for seed in (1, 2, 3)]
+    runs = [simulate(BASE, seed, 100, further=weather) for seed in (1, 2)]
     file = replace(twin_file(BASE), sensor={"quantisation_k": 0.0, "noise_sd_k": None})
-    found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
+    with candidates_only("fan_deadtime"):
+        found = diagnose(file, as_diagnosis_runs(runs, file=file), silent, "")
     assert found.judgement.handover.rmse_k > 10.0 * NOISE.sensor_k
     assert found.judgement.comparison.noise_k > 10.0 * NOISE.sensor_k  # by the likelihood alone
     assert found.verdict.kind == "unknown"
