@@ -1,3 +1,5 @@
+from itertools import combinations, product
+
 import numpy as np
 import pytest
 import twin_equations
@@ -103,8 +105,10 @@ def test_all_linear_effects_together_are_exact():
     assert difference(SINGLE) < EXACT_K
 
 
-@pytest.mark.parametrize("other", [*SECOND_ORDER, "heater_deadtime", "fan_deadtime", "imperfect_mixing"])
-@pytest.mark.parametrize("name", SECOND_ORDER)
+BESIDE = ("heater_deadtime", "fan_deadtime", "imperfect_mixing")
+
+
+@pytest.mark.parametrize(("name", "other"), [*combinations(SECOND_ORDER, 2), *product(SECOND_ORDER, BESIDE)])
 def test_two_effects_are_within_their_stated_error(name, other):
     both = {**SINGLE, **SECOND_ORDER}
     found = difference({**LEAK, name: both[name], other: both[other]})
