@@ -1,5 +1,6 @@
 """Values that predict, names that stand, and twins worth adopting: judged by rows that no fit saw."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,11 +23,19 @@ from edge.diagnosis.free_fit import (
 )
 from edge.diagnosis.handover import JudgedTwin, against_adopting, impossible
 from edge.diagnosis.side_by_side import SideBySide
-from edge.formats.run_file import RecordedRun
+from edge.formats.run_file import RecordedRun, cut
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
-from tests.support.simulated_runs import BOX, as_diagnosis_runs, candidates_only, silent, simulate, twin_file
+from tests.support.simulated_runs import (
+    BOX,
+    as_diagnosis_runs,
+    candidates_only,
+    change_run,
+    silent,
+    simulate,
+    twin_file,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -213,11 +222,18 @@ def test_a_mass_that_does_not_fit_into_the_box_is_said() -> None:
 # the whole
 
 
+def recordings() -> list[RecordedRun]:
+    return [simulate({**BOX, **LAG}, seed, 60) for seed in (1, 2, 3)]
+
+
+def answer(runs: Sequence[RecordedRun]) -> Diagnosis:
+    with candidates_only("heater_lag", "sensor_lag", "infiltration"):
+        return diagnose(twin_file(), as_diagnosis_runs(runs), silent, "")
+
+
 @pytest.fixture(scope="module")
 def found() -> Diagnosis:
-    data = as_diagnosis_runs([simulate({**BOX, **LAG}, seed, 60) for seed in range(1, 4)])
-    with candidates_only("heater_lag", "sensor_lag", "infiltration"):
-        return diagnose(twin_file(), data, silent, "")
+    return answer(recordings())
 
 
 def test_what_is_there_stands_and_predicts_rows_that_no_fit_saw(found: Diagnosis) -> None:
@@ -251,7 +267,14 @@ def test_a_value_at_its_bound_is_not_offered(found: Diagnosis) -> None:
     assert "effects.heater_lag.tau_h" in said
 
 
-def stuck(run: RecordedRun, first: int) -> RecordedRun:
-    temp = run.columns["temp_air_c"].copy()
-    temp[first : first + 10] = temp[first]
-    return replace(run, columns={**run.columns, "temp_air_c": temp})
+def test_order_date_and_files_of_the_runs_change_no_answer(found: Diagnosis) -> None:
+    later = [change_run(run, {"start_utc": "2027-07-01T08:00:00Z"}) for run in recordings()]
+    parts = [cut(later[0], 0, 30), cut(later[0], 30, 60)]
+    halves = [replace(part, path=later[0].path.with_suffix(f".{i}")) for i, part in enumerate(parts)]
+    other = answer([later[2], *halves, later[1]])
+    [effect], [again] = found.verdict.effects, other.verdict.effects
+    assert effect.name == again.name == "heater_lag"
+    value = effect.parameters["tau_h"]
+    assert value.low is not None
+    assert value.high is not None
+    assert value.low <= again.parameters["tau_h"].value <= value.high
