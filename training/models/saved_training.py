@@ -14,7 +14,7 @@ from edge.models.arx_file import read_arx
 from edge.models.pbm import read_twin
 from training.models.ham_guarded import GuardedHamNet
 from training.models.predictors import GuardedHamPredictor, eager
-from training.models.registry import ARX_FILE, MODELS, NETWORK_FILE, TWIN_FILE
+from training.models.registry import ARX_FILE, NETWORK_FILE, TWIN_FILE
 from training.models.study import RESULT_FILE, SCENARIOS, Regime
 from training.models.weights import load_network
 
@@ -50,7 +50,7 @@ def read_trained(root: Path) -> list[SavedTraining]:
         for folder in sorted((root / model / regime).glob("seed_*"), key=lambda path: path.name)
         if _has_weights(folder)
     ]
-    for model in MODELS:
+    for model in (*PAPER, *OURS):
         for regime in SCENARIOS:
             if not any((root / model / regime).glob(f"seed_*/{RESULT_FILE}")):
                 raise DataError(f"{root / model / regime}: no training is kept here")
