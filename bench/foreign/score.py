@@ -300,10 +300,10 @@ def text(cases: Sequence[ScoredAnswer]) -> str:
 def _figure(value: Share | float) -> str:
     if isinstance(value, float):
         return f"{value:.3g}"
-    found = value.document()
-    if not found["cases"]:
+    if not value.cases:
         return "-"
-    return f"{found['value']:.2f} [{found['low']:.2f}, {found['high']:.2f}] of {found['cases']}"
+    low, high = value.interval
+    return f"{value.value:.2f} [{low:.2f}, {high:.2f}] of {value.cases}"
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -14,10 +14,6 @@ class Share:
     hits: int
     cases: int
 
-    def __post_init__(self) -> None:
-        if not 0 <= self.hits <= self.cases:
-            raise ValueError(f"{self.hits} hits of {self.cases} cases")
-
     @property
     def value(self) -> float:
         """0..1."""
@@ -32,17 +28,6 @@ class Share:
         middle = (share + square / 2.0) / (1.0 + square)
         half = math.sqrt(share * (1.0 - share) * square + square**2 / 4.0) / (1.0 + square)
         return max(0.0, middle - half), min(1.0, middle + half)
-
-    def document(self) -> dict[str, object]:
-        """For JSON; null where there are no cases."""
-        low, high = self.interval
-        return {
-            "value": self.value if self.cases else None,
-            "hits": self.hits,
-            "cases": self.cases,
-            "low": low,
-            "high": high,
-        }
 
 
 def share(answers: Iterable[bool]) -> Share:
