@@ -7,12 +7,22 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webdriver import WebDriver
 
 from tests.support.broker import wait_for
+from tests.support.browser import DESK, resize
 
 PATIENCE_S = 40.0
 
 
 def text(driver: WebDriver) -> str:
     return driver.find_element(By.TAG_NAME, "body").text
+
+
+def as_new(driver: WebDriver, size: tuple[int, int] = DESK, dark: bool = False) -> WebDriver:
+    """Return a browser that knows nobody, with a window of this size [CSS pixels]."""
+    driver.delete_all_cookies()
+    resize(driver, size)
+    scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+    return driver
 
 
 def log_in(driver: WebDriver, page: FleetPageOfTest, name: str = "Ann") -> None:

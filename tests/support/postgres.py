@@ -25,6 +25,8 @@ class Postgres:
     def __init__(self) -> None:
         self.port = free_port()
         self.url = f"postgresql+psycopg://postgres@127.0.0.1:{self.port}/postgres"
+        self._words = f"host=127.0.0.1 port={self.port} user=postgres connect_timeout=2"
+        self._made = 0
         self._folder = Path(tempfile.mkdtemp(prefix="greenhouse-postgres-"))
         self.process: subprocess.Popen[bytes] | None = None
 
@@ -58,6 +60,13 @@ class Postgres:
             )
         wait_for(self._answers, f"PostgreSQL answers, see {self._folder}/log")
 
+    def new_database(self) -> str:
+        """Make an empty database beside the others; return its URL."""
+        self._made += 1
+        with psycopg.connect(self._words, autocommit=True) as connection:
+            connection.execute(f"CREATE DATABASE made_{self._made}".encode())
+        return f"{self.url.removesuffix('postgres')}made_{self._made}"
+
     def kill(self) -> None:
         """End it in the midst of what it does, its children too."""
         assert self.process is not None
@@ -77,7 +86,7 @@ class Postgres:
 
     def _answers(self) -> bool:
         try:
-            psycopg.connect(f"host=127.0.0.1 port={self.port} user=postgres", connect_timeout=2).close()
+            psycopg.connect(self._words).close()
         except psycopg.OperationalError:
             return False
         return True

@@ -18,7 +18,7 @@ from fleet.database.leases import WorkLease
 from fleet.settings import DatabaseSettings
 from tests.support.broker import wait_for
 from tests.support.daemon_process import ROOT
-from tests.support.postgres import Postgres, needs_postgres
+from tests.support.postgres import needs_postgres
 
 HOLDER = """
 import sys, threading
@@ -31,12 +31,6 @@ with lease.keep():
     print("taken", flush=True)
     threading.Event().wait()
 """
-
-
-@pytest.fixture(scope="module")
-def postgres() -> Iterator[Postgres]:
-    with Postgres() as running:
-        yield running
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgres", marks=needs_postgres)])

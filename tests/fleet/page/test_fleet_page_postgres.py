@@ -20,14 +20,8 @@ pytestmark = needs_postgres
 
 
 @pytest.fixture
-def postgres() -> Iterator[Postgres]:
-    with Postgres() as running:
-        yield running
-
-
-@pytest.fixture
 def page(tmp_path: Path, postgres: Postgres) -> Iterator[FleetPageOfTest]:
-    with fleet_page(tmp_path, database=DatabaseSettings(url=postgres.url)) as running:
+    with fleet_page(tmp_path, database=DatabaseSettings(url=postgres.new_database())) as running:
         yield running
 
 

@@ -19,13 +19,7 @@ from fleet.rollout.judge import HOUR_S, HourCost
 from fleet.rollout.runner import RolloutRunner
 from fleet.rollout.states import News
 from fleet.settings import DatabaseSettings
-from tests.support.postgres import Postgres, needs_postgres
-
-
-@pytest.fixture(scope="module")
-def postgres() -> Iterator[Postgres]:
-    with Postgres() as running:
-        yield running
+from tests.support.postgres import needs_postgres
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgres", marks=needs_postgres)])
