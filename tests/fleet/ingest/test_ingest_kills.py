@@ -32,7 +32,6 @@ class Engines:
     broker: Broker
     victoria: Victoria
     postgres: Postgres
-    rigs: list[RigWithoutBoard]
     numbers: Numbers
     database: Engine
 
@@ -42,29 +41,35 @@ class Engines:
         part.kill()
         part.start()
 
-    def wait_until_all_is_stored(self) -> None:
+    def wait_until_all_is_stored(self, rigs: list[RigWithoutBoard]) -> None:
         """Also on the disk: what VictoriaMetrics had in memory alone would be missing after one more kill."""
         said = self.ingest.log[-3000:]
-        wait_until_all_is_stored(self.rigs, self.numbers, self.database, STORED_S, said)
+        wait_until_all_is_stored(rigs, self.numbers, self.database, STORED_S, said)
         self.kill("victoria")
-        assert what_is_wrong(self.rigs, self.numbers, self.database) == ""
+        assert what_is_wrong(rigs, self.numbers, self.database) == ""
+
+
+@pytest.fixture(scope="module")
+def engines(tmp_path_factory: pytest.TempPathFactory, postgres: Postgres) -> Iterator[Engines]:
+    """The engines of all tests here, which die again and again."""
+    folder = tmp_path_factory.mktemp("engines")
+    with ExitStack() as stack:
+        broker = stack.enter_context(Broker(folder, BROKER))
+        victoria = stack.enter_context(Victoria(folder))
+        url = postgres.new_database()
+        database = open_database(DatabaseSettings(url=url))
+        stack.callback(database.dispose)
+        ingest = stack.enter_context(IngestProcess(folder, {"port": broker.port}, victoria.url, url))
+        numbers = Numbers(NumbersSettings(url=victoria.url))
+        yield Engines(ingest, broker, victoria, postgres, numbers, database)
 
 
 @pytest.fixture
-def engines(tmp_path: Path) -> Iterator[Engines]:
+def rigs(engines: Engines, tmp_path: Path) -> Iterator[list[RigWithoutBoard]]:
+    """Rigs of one test, by its folder's name."""
+    names = [f"{tmp_path.name[-20:]}-{number}" for number in (1, 2)]
     with ExitStack() as stack:
-        broker = stack.enter_context(Broker(tmp_path, BROKER))
-        victoria = stack.enter_context(Victoria(tmp_path))
-        postgres = stack.enter_context(Postgres())
-        database = open_database(DatabaseSettings(url=postgres.url))
-        stack.callback(database.dispose)
-        ingest = stack.enter_context(
-            IngestProcess(tmp_path, {"port": broker.port}, victoria.url, postgres.url)
-        )
-        names = [f"rig-{number}" for number in (1, 2, 3)]
-        rigs = [stack.enter_context(RigWithoutBoard(tmp_path, name, broker.port)) for name in names]
-        numbers = Numbers(NumbersSettings(url=victoria.url))
-        yield Engines(ingest, broker, victoria, postgres, rigs, numbers, database)
+        yield [stack.enter_context(RigWithoutBoard(tmp_path, name, engines.broker.port)) for name in names]
 
 
 @contextmanager
@@ -90,34 +95,38 @@ def pause(moments: random.Random) -> None:
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_each_tick_is_in_store_once_after_a_part_was_killed_twice(engines: Engines, part: str) -> None:
-    moments = random.Random(part)
-    with ticking(engines.rigs):
-        for _ in range(2):
-            pause(moments)
-            engines.kill(part)
-    engines.wait_until_all_is_stored()
+def test_each_tick_is_in_store_once_after_a_part_was_killed(
+    engines: Engines, rigs: list[RigWithoutBoard], part: str
+) -> None:
+    with ticking(rigs):
+        pause(random.Random(part))
+        engines.kill(part)
+    engines.wait_until_all_is_stored(rigs)
 
 
-def test_each_tick_is_in_store_once_after_all_parts_were_killed_in_turn(engines: Engines) -> None:
+def test_each_tick_is_in_store_once_after_all_parts_were_killed_in_turn(
+    engines: Engines, rigs: list[RigWithoutBoard]
+) -> None:
     moments = random.Random()  # another course at each run: what fails once is a fault, not a flake
     order = [*PARTS, "broker", "victoria"]
-    with ticking(engines.rigs):
+    with ticking(rigs):
         for part in order:
             pause(moments)
             engines.kill(part)
-    engines.wait_until_all_is_stored()
+    engines.wait_until_all_is_stored(rigs)
 
 
-def test_the_last_ticks_before_the_broker_was_killed_are_asked_for(engines: Engines) -> None:
-    for rig in engines.rigs:
+def test_the_last_ticks_before_the_broker_was_killed_are_asked_for(
+    engines: Engines, rigs: list[RigWithoutBoard]
+) -> None:
+    for rig in rigs:
         rig.tick()
-    engines.wait_until_all_is_stored()
+    engines.wait_until_all_is_stored(rigs)
     engines.ingest.kill()  # so the broker alone has what comes now, and loses it
-    for rig in engines.rigs:
+    for rig in rigs:
         for _ in range(5):
             rig.tick()
-    wait_for(lambda: all(rig.depth() == 0 for rig in engines.rigs), "every outbox is empty")
+    wait_for(lambda: all(rig.depth() == 0 for rig in rigs), "every outbox is empty")
     engines.kill("broker")
     engines.ingest.start()
-    engines.wait_until_all_is_stored()
+    engines.wait_until_all_is_stored(rigs)
