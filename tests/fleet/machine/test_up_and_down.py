@@ -1,12 +1,15 @@
 """`greenhouse fleet up --foreground` and `down`: what runs, what stays, what is refused."""
 
+import io
 import socket
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
 
+from edge.__main__ import main
 from edge.core.errors import RequestError
 from edge.core.processes import die_with_parent
 from edge.page.access import Role
@@ -38,7 +41,17 @@ needs_engines = pytest.mark.skipif(
 
 
 def command(*words: str) -> "subprocess.CompletedProcess[str]":
+    """Run it in a process, for one that might go up."""
     return subprocess.run([*FLEET, *words], cwd=ROOT, capture_output=True, text=True, timeout=90)
+
+
+def called(*words: str) -> tuple[int, str, str]:
+    """Return the exit code of a command, and what it said in both ways."""
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr("sys.argv", ["greenhouse", "fleet", *words])
+        code = main(["fleet", *words])
+    return code, out.getvalue(), err.getvalue()
 
 
 def up(folder: Path) -> "subprocess.Popen[str]":
@@ -61,6 +74,7 @@ def children(process: "subprocess.Popen[str]") -> list[int]:
 
 @needs_engines
 def test_a_fleet_goes_up_serves_its_page_and_goes_down_with_its_data_kept(tmp_path: Path) -> None:
+    """No engine outlives an `up` that is killed, and the next one goes on."""
     places = places_of(tmp_path / "fleet")
     process = up(places.folder)
     try:
@@ -82,10 +96,15 @@ def test_a_fleet_goes_up_serves_its_page_and_goes_down_with_its_data_kept(tmp_pa
         assert (second.returncode, "another `greenhouse fleet up` runs here" in second.stderr) == (2, True)
         pids = children(process)
         assert len(pids) == len(list(engines(places, FleetMachine(names=("localhost",)))))
-        down = command("down", "--folder", str(places.folder))
-        assert down.returncode == 0, down.stderr
-        assert "the fleet has ended" in down.stdout
-        assert f"its data stays in {places.folder}/data" in down.stdout
+        process.kill()
+        process.wait()
+        wait_for(lambda: not [pid for pid in pids if is_running(pid)], "the end of all engines")
+        process = up(places.folder)  # with the ports and certificates of before
+        pids = children(process)
+        code, said, error = called("down", "--folder", str(places.folder))
+        assert code == 0, error
+        assert "the fleet has ended" in said
+        assert f"its data stays in {places.folder}/data" in said
         assert process.wait(60.0) == 0
     finally:
         process.kill()
@@ -96,23 +115,10 @@ def test_a_fleet_goes_up_serves_its_page_and_goes_down_with_its_data_kept(tmp_pa
         port for port in (ports.broker, ports.web, ports.numbers, ports.alerts, ports.page) if listens(port)
     ]
     assert (places.folder / "data" / "fleet.db").exists()
-    erased = command("down", "--erase", "--folder", str(places.folder))
-    assert erased.returncode == 0, erased.stderr
-    assert "nothing was running" in erased.stdout
+    code, said, error = called("down", "--erase", "--folder", str(places.folder))
+    assert code == 0, error
+    assert "nothing was running" in said
     assert not places.folder.exists()
-
-
-@needs_engines
-def test_no_engine_outlives_an_up_that_is_killed(tmp_path: Path) -> None:
-    places = places_of(tmp_path / "fleet")
-    process = up(places.folder)
-    pids = children(process)
-    process.kill()
-    process.wait()
-    wait_for(lambda: not [pid for pid in pids if is_running(pid)], "the end of all engines")
-    again = up(places.folder)  # with the ports and certificates of before
-    assert command("down", "--folder", str(places.folder)).returncode == 0
-    assert again.wait(60.0) == 0
 
 
 def is_running(pid: int) -> bool:
@@ -143,18 +149,18 @@ def test_a_port_that_is_taken_is_named_and_nothing_stays(tmp_path: Path) -> None
 def test_a_folder_of_others_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("x")
     for words in (("up", "--foreground"), ("down", "--erase")):
-        refused = command(*words, "--folder", str(tmp_path))
-        assert refused.returncode == 2
-        assert str(tmp_path) in refused.stderr
+        code, _, error = called(*words, "--folder", str(tmp_path))
+        assert code == 2
+        assert str(tmp_path) in error
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    refused = command("up", "--foreground", "--folder", str(tmp_path / "file" / "fleet"))
-    assert refused.returncode == 2
-    assert refused.stderr.startswith(f"greenhouse fleet: {tmp_path}/file")
-    assert refused.stderr.count("\n") == 1
+    code, _, error = called("up", "--foreground", "--folder", str(tmp_path / "file" / "fleet"))
+    assert code == 2
+    assert error.startswith(f"greenhouse fleet: {tmp_path}/file")
+    assert error.count("\n") == 1
 
 
 def test_set_up_again_keeps_what_is_yours_and_renews_what_is_its(tmp_path: Path) -> None:
