@@ -25,9 +25,10 @@ from safety_cases import NOW, UTC, view
 
 from edge.config.settings import SafetySettings
 from edge.core.messages import Command
+from edge.diagnosis.diagnose import diagnose
 from edge.diagnosis.diagnosis_file import check_diagnosis
 from edge.diagnosis.experiment.advice import calibrate_first
-from edge.diagnosis.experiment.design import _sides, design_experiment
+from edge.diagnosis.experiment.design import _sides, design_experiment, next_experiment
 from edge.diagnosis.experiment.document import PROFILE, experiment_document, write_profile
 from edge.diagnosis.experiment.experiment import PlannedExperiment
 from edge.diagnosis.experiment.families import candidates, cool
@@ -40,7 +41,16 @@ from edge.diagnosis.trial import Trial
 from edge.formats.profile_file import read_profile
 from edge.safety.supervisor import SafetyMemory, supervise
 from edge.twin.value import Value
-from tests.support.simulated_runs import NOISE, STEP_S
+from tests.support import simulated_runs
+from tests.support.simulated_runs import (
+    NOISE,
+    STEP_S,
+    as_diagnosis_runs,
+    candidates_only,
+    silent,
+    simulate,
+    twin_file,
+)
 
 AIR = {"extra_capacity": {"kC": 10.0}}
 BOX = {**AIR, "wall_loss": {"UA": 5.0}}
@@ -303,3 +313,24 @@ def test_a_rival_of_which_nothing_is_open_is_told_apart_too() -> None:
     pairs = tuple(RivalPair(i, 1 - i, names[i], names[1 - i], names[0], 0.5, 1.0) for i in range(2))
     plan = separation(Rivals((plain, late), pairs), surroundings(runs, False), STEP_S)
     assert design_experiment(plan, ExperimentLimits()).profile
+
+
+# from a diagnosis with rivals to the experiment that tells them apart
+
+
+@pytest.mark.slow
+def test_a_leak_that_still_air_does_not_tell_is_to_be_told_by_the_fan() -> None:
+    leak, file = "infiltration", twin_file()
+    runs = [simulate({**simulated_runs.BOX, leak: {"F_inf": 0.0015}}, seed, 60, fan=False) for seed in (1, 2)]
+    with candidates_only(leak, "longwave_radiation"):
+        found = diagnose(file, as_diagnosis_runs(runs), silent, "")
+    (effect,) = found.verdict.effects
+    assert leak in {effect.name, *effect.alternatives}
+    assert effect.alternatives
+    limits = ExperimentLimits()
+    experiment = next_experiment(found, limits)
+    assert experiment is not None
+    assert leak in experiment.names
+    assert len({row.fan_on for row in experiment.profile}) == 2
+    assert experiment.expected_log_odds > 3.0
+    assert experiment.largest_temp_air_c < limits.safety.temp_air_max_c

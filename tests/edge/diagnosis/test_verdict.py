@@ -1,4 +1,4 @@
-"""edge/diagnosis/verdict.py: what a search has found, read; the search itself is a made-up one."""
+"""edge/diagnosis/verdict.py: how sure a name is, and what is said of it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +12,15 @@ from edge.diagnosis.formulas import shapes
 from edge.diagnosis.search import RIVAL_NATS
 from edge.diagnosis.trial import FittedTwin, SizedTerm, Trial
 from edge.diagnosis.unknowns import unknowns, with_effect
-from edge.diagnosis.verdict import DiagnosisVerdict, interval, intervals, verdict
+from edge.diagnosis.verdict import (
+    MOST_SURE,
+    DiagnosisVerdict,
+    evidence,
+    interval,
+    intervals,
+    probability,
+    verdict,
+)
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
 from tests.support.simulated_runs import BOX, NOISE, simulate, twin_file
@@ -240,3 +248,25 @@ def test_a_variance_that_rounding_made_negative_is_none(variance: float) -> None
     [item] = fitted("heater_sag").free
     value = interval(item, 0.5, variance)
     assert value.low == value.value == value.high
+
+
+# how sure a name is
+
+
+def sure(nats: float = 30.0, with_k: float = 0.1, without_k: float = 0.5) -> float:
+    return probability(evidence(nats, with_k, without_k))
+
+
+def test_more_evidence_is_never_less_sure() -> None:
+    assert sure(nats=5.0) < sure(nats=20.0) <= sure(nats=80.0)
+    assert sure(without_k=0.11) < sure(without_k=0.2) <= sure(without_k=2.0)
+
+
+def test_nothing_is_certain() -> None:
+    assert sure(nats=1e9, without_k=1e6) == MOST_SURE
+    assert 0.0 <= sure(nats=-50.0, with_k=5.0, without_k=5.0) < 0.1
+
+
+def test_odd_numbers_are_no_error() -> None:
+    for numbers in ((0.0, 0.0, 1.0), (1.0, 1e-12, 1.0), (-1.0, 1e9, 1.0)):
+        assert 0.0 <= probability(evidence(*numbers)) <= MOST_SURE

@@ -1,4 +1,4 @@
-"""The contract of an ONNX file, and the refusal of one that breaks it."""
+"""Contracts of models, and the box of the training data that they name."""
 
 import copy
 import json
@@ -11,8 +11,10 @@ from onnx import TensorProto
 from onnx_files import TWIN, document_of, graph_of, write_onnx
 
 from edge.core.errors import DataError
+from edge.core.predictor import Floats
 from edge.models.contract import parse_contract
 from edge.models.onnx_predictor import read_ham, read_lstm
+from edge.models.validity import box_of, outside_steps
 from training.export.onnx_graph import Graph, real
 
 VALID = document_of("lstm")
@@ -157,3 +159,61 @@ def test_one_kind_of_model_is_not_read_as_another(tmp_path: Path) -> None:
     assert refusal(write_onnx(tmp_path / "ham.onnx", "ham")) == "kind: 'ham' is none of lstm, window"
     with pytest.raises(DataError, match=r"lstm\.onnx: kind: 'lstm' is none of ham, ham_guarded"):
         read_ham(write_onnx(tmp_path / "lstm.onnx"), TWIN)
+
+
+# the box of the training data: what is inside, on its edge, and what rests on something outside
+
+
+LIMITS = {
+    "temp_air_c": (20.0, 30.0),
+    "heater_duty": (0.0, 0.5),
+    "fan_on": (0.0, 1.0),
+    "temp_ambient_c": (18.0, 24.0),
+}
+
+
+def outside(temps: list[float], duty: float = 0.25, room: float = 20.0, now: float = 25.0) -> list[bool]:
+    """Flags of one sequence of two steps; its inputs are the same at both."""
+    controls = np.array([[[duty, 1.0]] * 2])
+    ahead = {"temp_ambient": np.array([room, room, np.nan])}  # longer than the rollout
+    past = {"temp_air": np.array([99.0, now])}
+    flags: list[bool] = outside_steps(LIMITS, past, controls, ahead, np.array([temps]))[0].tolist()
+    return flags
+
+
+def test_inside_and_on_the_edge_nothing_is_flagged() -> None:
+    assert outside([25.0, 25.0]) == [False, False]
+    assert outside([20.0, 30.0], duty=0.5, room=24.0, now=30.0) == [False, False]
+    assert outside([25.0, 25.0], duty=0.5 + 1e-9) == [False, False]  # rounding is no extrapolation
+
+
+@pytest.mark.parametrize("value", [19.99, 30.01, np.nan, np.inf, -np.inf])
+def test_a_temperature_outside_is_flagged_from_its_step_on(value: float) -> None:
+    assert outside([25.0, value]) == [False, True]
+    assert outside([value, 25.0]) == [True, True]  # the second step was predicted from the first
+    assert outside([25.0, 25.0], now=value) == [True, True]
+
+
+@pytest.mark.parametrize("duty", [-0.01, 0.51, np.nan])
+def test_an_input_outside_is_flagged(duty: float) -> None:
+    assert outside([25.0, 25.0], duty=duty) == [True, True]
+
+
+@pytest.mark.parametrize("room", [17.99, 24.01, np.nan])
+def test_a_room_outside_is_flagged(room: float) -> None:
+    assert outside([25.0, 25.0], room=room) == [True, True]
+
+
+def test_each_sequence_is_flagged_by_itself() -> None:
+    controls = np.array([[[0.5, 0.0]], [[0.6, 0.0]], [[0.5, 1.0]]])
+    flags = outside_steps(
+        {"heater_duty": (0.0, 0.5)}, {"temp_air": np.array([0.0])}, controls, {}, np.zeros((3, 1))
+    )
+    assert flags.tolist() == [[False], [True], [False]]
+
+
+def test_the_box_of_runs_spans_what_was_measured() -> None:
+    def run(*temps: float) -> dict[str, Floats]:
+        return {"temp_air_c": np.array(temps), "light": np.ones(len(temps))}
+
+    assert box_of([run(21.0, np.nan, 25.0), run(19.5)], ["temp_air_c"]) == {"temp_air_c": (19.5, 25.0)}
