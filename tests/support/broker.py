@@ -19,7 +19,7 @@ MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sb
 needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 # Lines of mosquitto.conf for a broker that forgets nothing when it is restarted in good order.
 KEEPS_SESSIONS = "allow_anonymous true\npersistence true\nmax_queued_messages 0"
-PATIENCE_S = 20.0  # a wait in a test ends when what it waits for happens; this is only for when it never does
+PATIENCE_S = 40.0  # a wait in a test ends when what it waits for happens; this is only for when it never does
 
 
 def wait_for(condition: Any, what: str = "", patience_s: float = PATIENCE_S) -> None:

@@ -19,7 +19,7 @@ from tests.support.simulated_runs import BOX, simulate, twin_file
 pytestmark = pytest.mark.slow
 
 NIGHT = datetime(2026, 7, 1, 3, 0, tzinfo=UTC).timestamp()
-ROWS = 420
+ROWS = 240
 PATIENCE_S = 120.0
 
 

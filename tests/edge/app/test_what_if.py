@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge.app import what_if
 from edge.app.what_if import (
     BENT_MAX,
     STORED_MAX,
@@ -34,6 +35,11 @@ ROOM_C, TARGET_C = 20.0, 35.0
 LIMITS = HeatLimits.of(Settings())
 WALL = {"wall_loss": {"UA": Value(4.0, low=3.8, high=4.2)}}
 BARE = TwinFile(effects=WALL)
+
+
+@pytest.fixture(autouse=True)
+def fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(what_if, "DRAWS", 80)
 
 
 def question(change: TwinChange = TwinChange(), **other: float) -> WhatIf:  # noqa: B008 - it is frozen
@@ -114,8 +120,8 @@ def test_an_error_over_unseen_rows_widens_every_interval() -> None:
     now, _ = outlooks(exact, question(), 1.0)
     wide, _ = outlooks(off, question(), 1.0)
     assert now.reach_c == Quantity(*[pytest.approx(45.0)] * 3)  # 20 + 100 W / 4 W/K
-    assert (wide.reach_c.low, wide.reach_c.high) == pytest.approx((45.0 - 0.822, 45.0 + 0.822), abs=0.02)
-    assert (wide.power_w.low, wide.power_w.high) == pytest.approx((60.0 - 3.29, 60.0 + 3.29), abs=0.1)
+    assert (wide.reach_c.low, wide.reach_c.high) == pytest.approx((45.0 - 0.822, 45.0 + 0.822), abs=0.04)
+    assert (wide.power_w.low, wide.power_w.high) == pytest.approx((60.0 - 3.29, 60.0 + 3.29), abs=0.15)
 
 
 EXACT = replace(BARE, effects={"wall_loss": {"UA": Value(4.0)}})
@@ -173,7 +179,7 @@ def test_losses_in_a_short_fit_may_be_heat_into_what_it_did_not_see() -> None:
     files = [replace(EXACT, provenance={"validity": {"hours": hours}}) for hours in (2.0, 100.0)]
     short, long = (outlooks(file, question(), 1.0)[0] for file in files)
     most_w = 60.0 * STORED_MAX * math.exp(-2.0 / 12.0) * 0.95**2
-    assert (short.power_w.low, short.power_w.high) == pytest.approx((60.0 - most_w, 60.0), abs=0.4)
+    assert (short.power_w.low, short.power_w.high) == pytest.approx((60.0 - most_w, 60.0), abs=0.6)
     assert short.reach_c.high == pytest.approx(20.0 + 25.0 * 60.0 / (60.0 - most_w), abs=0.8)
     assert (long.power_w.low, long.power_w.high) == pytest.approx((60.0, 60.0), abs=0.1)
     # The air of this box is warm in a minute, long before any store.

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from edge.__main__ import main
 from edge.tick.orders import in_words
 from tests.support.broker import KEEPS_SESSIONS, Broker, Listener, needs_mosquitto, wait_for
 from tests.support.daemon_process import RIG, ROOT, DaemonProcess, run_command
@@ -290,16 +291,16 @@ RULES = {"controller": "rules", "fallback": "rules"}
     ],
 )
 def test_a_wrong_or_missing_configuration_is_one_clear_line_and_exit_code_2(
-    folder: Path, text: str | None, said: str
+    folder: Path, capsys: pytest.CaptureFixture[str], text: str | None, said: str
 ) -> None:
     config = folder / "edge.yaml"
     if text is not None:
         config.write_text(text)
-    ended = subprocess.run(run_command(config), capture_output=True, text=True, cwd=ROOT, timeout=30)
-    assert ended.returncode == 2
-    assert said in ended.stderr
-    assert len(ended.stderr.strip().splitlines()) == 1
-    assert ended.stdout == ""
+    assert main(["run", "--config", str(config)]) == 2
+    told = capsys.readouterr()
+    assert said in told.err
+    assert len(told.err.strip().splitlines()) == 1
+    assert told.out == ""
 
 
 def test_a_second_daemon_is_refused_at_the_socket_and_gets_no_board(

@@ -3,7 +3,7 @@
 import os
 import signal
 import time
-from pathlib import Path
+from collections.abc import Iterator
 
 import pytest
 
@@ -11,11 +11,26 @@ from edge.core.hard_limits import LEASE_S
 from edge.page.access import Role
 from tests.support.broker import wait_for
 from tests.support.daemon_process import DaemonProcess
-from tests.support.page_process import Client, page_of
+from tests.support.page_process import Client, PageProcess, as_at_first, rig_with_page
 from tests.support.virtual_board import VirtualBoard
 
 pytestmark = pytest.mark.slow
-pytest_plugins = ["rig_places"]
+
+
+Rig = tuple[DaemonProcess, PageProcess, VirtualBoard]
+
+
+@pytest.fixture(scope="module")
+def whole_rig() -> Iterator[Rig]:
+    with rig_with_page() as running:
+        yield running
+
+
+@pytest.fixture
+def rig(whole_rig: Rig) -> Rig:
+    as_at_first(whole_rig[0])
+    assert whole_rig[0].ask("set_reference", reference_c=37)["ok"]  # it heats throughout
+    return whole_rig
 
 
 def heats(board: VirtualBoard) -> bool:
@@ -29,86 +44,82 @@ def has_stopped(client: Client) -> bool:
     return bool(view["reached"] and status["operation"]["emergency_stop"] and is_off)
 
 
-def test_a_viewer_stops_the_rig_and_the_history_says_who(folder: Path, board: VirtualBoard) -> None:
-    with DaemonProcess(folder) as daemon, page_of(folder) as page:
-        client = page.client(Role.VIEW, "guest")
-        wait_for(lambda: heats(board))
+def test_a_viewer_stops_the_rig_and_the_history_says_who(rig: Rig) -> None:
+    daemon, page, board = rig
+    client = page.client(Role.VIEW, "guest")
+    wait_for(lambda: heats(board))
+    answer = client.post("/api/stop").json()
+    assert answer["ok"]
+    assert "waits" not in answer
+    assert not heats(board)
+    wait_for(lambda: has_stopped(client))
+    refused = client.post("/api/order", {"do": "release_emergency_stop"})
+    assert (refused.status_code, daemon.ask("status")["operation"]["emergency_stop"]) == (403, True)
+    assert page.client(Role.OPERATE).post("/api/order", {"do": "release_emergency_stop"}).ok
+    wait_for(lambda: heats(board))
+    daemon.wait_ticks(2)
+    told = [text for (text,) in daemon.rows("SELECT text FROM events WHERE key = 'operator.order'")]
+    assert told[-2:] == [
+        "emergency stop: everything is off until it is released, by guest (page)",
+        "the emergency stop was released, by Ann (page)",
+    ]
+
+
+def test_with_the_daemon_hung_a_stop_leaves_the_heater_off_within_a_lease_and_for_good(rig: Rig) -> None:
+    daemon, page, board = rig
+    client = page.client(Role.VIEW, "guest")
+    wait_for(lambda: heats(board) and client.view()["reached"])
+    assert daemon.process is not None
+    os.kill(daemon.process.pid, signal.SIGSTOP)
+    try:
+        tapped_s = time.monotonic()
         answer = client.post("/api/stop").json()
         assert answer["ok"]
-        assert "waits" not in answer
-        assert not heats(board)
-        wait_for(lambda: has_stopped(client))
-        refused = client.post("/api/order", {"do": "release_emergency_stop"})
-        assert (refused.status_code, daemon.ask("status")["operation"]["emergency_stop"]) == (403, True)
-        assert page.client(Role.OPERATE).post("/api/order", {"do": "release_emergency_stop"}).ok
-        wait_for(lambda: heats(board))
-        daemon.wait_ticks(2)
-        told = [text for (text,) in daemon.rows("SELECT text FROM events WHERE key = 'operator.order'")]
-        assert told == [
-            "emergency stop: everything is off until it is released, by guest (page)",
-            "the emergency stop was released, by Ann (page)",
-        ]
-
-
-def test_with_the_daemon_hung_a_stop_leaves_the_heater_off_within_a_lease_and_for_good(
-    folder: Path, board: VirtualBoard
-) -> None:
-    with DaemonProcess(folder) as daemon, page_of(folder) as page:
-        client = page.client(Role.VIEW, "guest")
-        wait_for(lambda: heats(board) and client.view()["reached"])
-        assert daemon.process is not None
-        os.kill(daemon.process.pid, signal.SIGSTOP)
-        try:
-            tapped_s = time.monotonic()
-            answer = client.post("/api/stop").json()
-            assert answer["ok"]
-            assert answer["waits"]
-            wait_for(lambda: not heats(board))
-            assert time.monotonic() - tapped_s <= LEASE_S + 1.0
-            wait_for(lambda: not client.view()["reached"])
-            view = client.view()
-            # The last that the board has echoed, with its age: nobody has said that the heater is off.
-            assert view["status"]["echo"]["heater_duty"] > 0.0
-            assert view["silent_s"] > 2.0
-            assert view["stop_waits"]["by"] == "guest (page)"
-        finally:
-            os.kill(daemon.process.pid, signal.SIGCONT)
-        wait_for(lambda: has_stopped(client))
-        last = daemon.wait_ticks(3)
-        assert not heats(board)
-        wait_for(lambda: client.view()["stop_waits"] is None)
-        wait_for(lambda: daemon.seqs()[-1] >= last)
-        assert daemon.rows("SELECT DISTINCT mode FROM ticks ORDER BY seq DESC LIMIT 1") == [
-            ("emergency_stop",)
-        ]
-
-
-def test_a_stop_without_a_daemon_waits_for_the_next_one(folder: Path, board: VirtualBoard) -> None:
-    with DaemonProcess(folder) as daemon, page_of(folder) as page:
-        client = page.client(Role.VIEW)
-        wait_for(lambda: heats(board))
-        daemon.kill()
-        before = daemon.seqs()[-1]
-        assert client.post("/api/stop").json()["waits"]
+        assert answer["waits"]
         wait_for(lambda: not heats(board))
-        daemon.start()
-        daemon.wait_ticks(2)
-        assert not heats(board)
-        sent = f"SELECT max(sent_heater_duty), min(mode) FROM ticks WHERE seq > {before}"
-        assert daemon.rows(sent) == [(0.0, "emergency_stop")]
-        wait_for(lambda: has_stopped(client))
-        # It was taken: after a release nothing stops the next daemon.
-        assert page.client().post("/api/order", {"do": "release_emergency_stop"}).ok
-        daemon.kill()
-        daemon.start()
-        wait_for(lambda: heats(board))
+        assert time.monotonic() - tapped_s <= LEASE_S + 1.0
+        wait_for(lambda: not client.view()["reached"])
+        view = client.view()
+        # The last that the board has echoed, with its age: nobody has said that the heater is off.
+        assert view["status"]["echo"]["heater_duty"] > 0.0
+        assert view["silent_s"] > 2.0
+        assert view["stop_waits"]["by"] == "guest (page)"
+    finally:
+        os.kill(daemon.process.pid, signal.SIGCONT)
+    wait_for(lambda: has_stopped(client))
+    last = daemon.wait_ticks(3)
+    assert not heats(board)
+    wait_for(lambda: client.view()["stop_waits"] is None)
+    wait_for(lambda: daemon.seqs()[-1] >= last)
+    assert daemon.rows("SELECT DISTINCT mode FROM ticks ORDER BY seq DESC LIMIT 1") == [("emergency_stop",)]
 
 
-def test_a_page_that_is_killed_hurts_nobody_and_its_sessions_live(folder: Path, board: VirtualBoard) -> None:
-    with DaemonProcess(folder) as daemon, page_of(folder) as page:
-        client = page.client()
-        page.kill()
-        daemon.wait_ticks(2)
-        page.start()
-        wait_for(lambda: client.view()["reached"])
-        assert client.get("/api/me").json()["name"] == "Ann"
+def test_a_stop_without_a_daemon_waits_for_the_next_one(rig: Rig) -> None:
+    daemon, page, board = rig
+    client = page.client(Role.VIEW)
+    wait_for(lambda: heats(board))
+    daemon.kill()
+    before = daemon.seqs()[-1]
+    assert client.post("/api/stop").json()["waits"]
+    wait_for(lambda: not heats(board))
+    daemon.start()
+    daemon.wait_ticks(2)
+    assert not heats(board)
+    sent = f"SELECT max(sent_heater_duty), min(mode) FROM ticks WHERE seq > {before}"
+    assert daemon.rows(sent) == [(0.0, "emergency_stop")]
+    wait_for(lambda: has_stopped(client))
+    # It was taken: after a release nothing stops the next daemon.
+    assert page.client().post("/api/order", {"do": "release_emergency_stop"}).ok
+    daemon.kill()
+    daemon.start()
+    wait_for(lambda: heats(board))
+
+
+def test_a_page_that_is_killed_hurts_nobody_and_its_sessions_live(rig: Rig) -> None:
+    daemon, page, _ = rig
+    client = page.client()
+    page.kill()
+    daemon.wait_ticks(2)
+    page.start()
+    wait_for(lambda: client.view()["reached"])
+    assert client.get("/api/me").json()["name"] == "Ann"
