@@ -97,7 +97,8 @@ def vars_of(box: ForeignBox) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def few() -> list[ForeignCase]:
-    return [make_case("dev", kind, 900) for kind in KINDS]
+    # Of the greenhouse one that shows at the first draw, as its chamber takes a second a draw.
+    return [make_case("dev", kind, 903 if kind == greenhouse.HIDDEN else 900) for kind in KINDS]
 
 
 def test_a_case_is_the_same_whenever_it_is_made(few: list[ForeignCase]) -> None:
