@@ -19,8 +19,7 @@ PAGE = (ROOT / "docs/add-an-effect.md").read_text(encoding="utf-8")
 EXCERPTS = re.findall(r"^```text\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 TITLED = dict(re.findall(r'^```\w+ title="([^"]*)"\n(.*?)^```$', PAGE, re.DOTALL | re.MULTILINE))
 EXAMPLE = (
-    "edge/twin/effects/signal.py",
-    "edge/twin/effects/loss.py",
+    "edge/twin/effects/named.py",
     "tests/edge/twin/test_twin_effects.py",
     "tests/support/twin_equations.py",
 )

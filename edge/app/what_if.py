@@ -18,7 +18,7 @@ from edge.twin.box_words import wall
 from edge.twin.constant_inputs import ConstantInputs, SteadyTwin
 from edge.twin.draws import drawn_twins, even_normals
 from edge.twin.effects.library import EFFECTS, nameless
-from edge.twin.effects.loss import WALL_CAPACITIES, WALL_CONDUCTANCES
+from edge.twin.effects.named import WALL_CAPACITIES, WALL_CONDUCTANCES
 from edge.twin.model import BoxTwin
 from edge.twin.new_file import resistance_m2_k_w
 from edge.twin.twin_file import Place, TwinFile

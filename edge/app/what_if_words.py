@@ -18,8 +18,8 @@ from edge.app.what_if import (
 )
 from edge.config.settings import Settings
 from edge.twin.draws import CORRELATION, uncertain
-from edge.twin.effects.heater import heater_lag
 from edge.twin.effects.library import nameless
+from edge.twin.effects.named import heater_lag
 from edge.twin.twin_file import TwinFile
 
 SURE = 0.95  # share of the draws for a plain yes or no

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from edge.diagnosis.experiment.families import ExperimentScores
 from edge.diagnosis.experiment.separation import Separation
 from edge.diagnosis.search import RIVAL_NATS
-from edge.twin.effects.air import FLOW_CHECK
-from edge.twin.effects.heater import POWER_CHECK
 from edge.twin.effects.library import EFFECTS
+from edge.twin.effects.named import FLOW_CHECK, POWER_CHECK
 from edge.twin.twin_file import Place
 
 GEOMETRY: Mapping[str, str] = {

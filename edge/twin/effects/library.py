@@ -1,7 +1,7 @@
 """The library of named effects: what the base balance leaves out. One function and one table row each.
 
-A function is given the network and its parameters and adds the effect; its row stands below it in the same
-file and holds everything that the diagnosis knows about the effect. To add one: docs/add-an-effect.md.
+A function is given the network and its parameters and adds the effect; its row stands below it in `named.py`
+and holds everything that the diagnosis knows about the effect. To add one: docs/add-an-effect.md.
 
 Heat without a name (`formulas`) is a smooth step over the air temperature and so stays what it was beyond the
 data; neither formula is ever offered as a name.
@@ -13,12 +13,14 @@ import numpy as np
 
 from edge.core.errors import DataError
 from edge.formats.cross_check import nearest
-from edge.twin.effects.air import AIR_EFFECTS
 from edge.twin.effects.effect import BlindRuns, Effect, EffectParameter, Offer, ParameterKind, by_name
-from edge.twin.effects.further import FURTHER_EFFECTS
-from edge.twin.effects.heater import HEATER_EFFECTS
-from edge.twin.effects.loss import LOSS_EFFECTS
-from edge.twin.effects.signal import SIGNAL_EFFECTS
+from edge.twin.effects.named import (
+    AIR_EFFECTS,
+    FURTHER_EFFECTS,
+    HEATER_EFFECTS,
+    LOSS_EFFECTS,
+    SIGNAL_EFFECTS,
+)
 from edge.twin.geometry import USUAL_STEP_S, Geometry, scale_of
 from edge.twin.network import Network
 from edge.twin.signals import Floats, HeatConditions

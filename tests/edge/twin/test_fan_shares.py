@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rk45 import rk45_rollout
 
 from edge.drift.kalman import Filter
 from edge.formats.run_file import RecordedRun, resample
@@ -9,7 +10,6 @@ from edge.twin.discretisation import MANY, exponential, exponentials
 from edge.twin.fit import free_run, rmse
 from edge.twin.linearise import EnsembleRun, linearise, responses
 from edge.twin.model import BoxTwin
-from edge.twin.reference import rk45_rollout
 from edge.twin.rollout import Commands, fan_in_parts
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.warm_start import PastColumns, at_rest, state_now

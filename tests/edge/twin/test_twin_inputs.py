@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
+from rk45 import rk45_rollout
 
 from edge.core.errors import DataError
 from edge.formats.run_file import RecordedRun
 from edge.models.pbm import Pbm
 from edge.twin.fit import fit_twin
 from edge.twin.model import BoxTwin
-from edge.twin.reference import rk45_rollout
 from edge.twin.rollout import Commands
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rk45 import rk45_rollout
 
 from edge.core.errors import DataError
 from edge.twin.discretisation import exponential
 from edge.twin.geometry import Geometry
 from edge.twin.model import FAN_CONTROLS, BoxTwin, StateNoise
-from edge.twin.reference import rk45_rollout
 from edge.twin.warm_start import at_rest
 
 AIR_J_K = 1.2 * 1005.0 * 0.15  # rho c V of the paper's box
