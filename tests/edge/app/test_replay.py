@@ -1,6 +1,7 @@
 """app/replay.py, board/recorded_board.py: a recording takes the board's place, nothing in it is changed."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -45,9 +46,15 @@ def replayed(run: RecordedRun) -> list[TickRecord]:
     return replay(run, settings_for(STEP_S, "MPC", 24.0), TRUE_BOX, fan_always_on=False)
 
 
+@cache
+def usual(missing: int | None = None) -> list[TickRecord]:
+    """The usual recording's replay, made once."""
+    return replayed(recording(missing=missing))
+
+
 def test_there_is_one_tick_per_step_and_it_sees_what_was_measured() -> None:
     run = recording()
-    records = replayed(run)
+    records = usual()
     assert len(records) in (89, 90)
     for row, record in enumerate(records):
         reading = record.readings["temp_air"]
@@ -57,29 +64,29 @@ def test_there_is_one_tick_per_step_and_it_sees_what_was_measured() -> None:
 
 def test_what_was_recorded_stands_whatever_the_controller_wants() -> None:
     run = recording()
-    for row, record in enumerate(replayed(run)):
+    for row, record in enumerate(usual()):
         assert record.echo is not None
         assert record.echo.heater_duty == pytest.approx(run.columns["heater_duty"][row])
         assert record.echo.fan_on == bool(run.columns["fan_on"][row])
 
 
 def test_the_controller_says_what_it_would_have_done() -> None:
-    records = replayed(recording())
+    records = usual()
     assert {record.decision.controller for record in records} == {"MPC"}
     assert any(record.wanted.heater_duty > 0.5 for record in records)  # 24 degC is above the recorded box
 
 
 def test_two_replays_decide_the_same_bit_for_bit() -> None:
-    first, second = replayed(recording()), replayed(recording())
+    first, second = usual(), replayed(recording())
     assert decisions_digest(first) == decisions_digest(second)
 
 
 def test_another_recording_has_another_digest() -> None:
-    assert decisions_digest(replayed(recording())) != decisions_digest(replayed(recording(missing=40)))
+    assert decisions_digest(usual()) != decisions_digest(usual(missing=40))
 
 
 def test_a_predictor_that_is_the_truth_is_scored_as_such() -> None:
-    records = replayed(recording())
+    records = usual()
     for skill in score(records, TRUE_BOX, (10.0, 60.0, 300.0)):
         assert skill.model_mae_k < 0.02
         assert skill.model_mae_k < 0.5 * skill.persistence.mean()
@@ -121,14 +128,14 @@ def test_a_predictor_is_handed_every_column_that_effects_need() -> None:
 
 def test_a_wrong_predictor_is_scored_worse() -> None:
     wrong = replace(TRUE_BOX, heater=np.zeros(1), fan=np.zeros(1))
-    records = replayed(recording())
+    records = usual()
     (good,), (bad,) = score(records, TRUE_BOX, (300.0,)), score(records, wrong, (300.0,))
     assert bad.model_mae_k > 5 * good.model_mae_k
 
 
 def test_rows_without_a_temperature_are_forecast_but_not_scored() -> None:
-    whole = score(replayed(recording()), TRUE_BOX, (10.0,))[0]
-    holed = score(replayed(recording(missing=40)), TRUE_BOX, (10.0,))[0]
+    whole = score(usual(), TRUE_BOX, (10.0,))[0]
+    holed = score(usual(missing=40), TRUE_BOX, (10.0,))[0]
     assert len(holed.model) < len(whole.model)
     assert np.isfinite(holed.model).all()
 

@@ -4,7 +4,7 @@ import socket
 import ssl
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
@@ -18,6 +18,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from bench.default_daemon import memory_of
 from edge.core.processes import end_process
+from edge.page.__main__ import main
 from edge.page.access import Role
 from edge.page.protocol import CONNECTIONS_MAX, OTHER_FILES
 from tests.support.broker import free_port, wait_for
@@ -25,6 +26,7 @@ from tests.support.daemon_process import ROOT
 from tests.support.page_process import Client, PageProcess, cookie_of, listens, page_of
 
 pytestmark = pytest.mark.slow
+Refusal = Callable[[Path, dict], str]
 
 
 def make_certificate(folder: Path, first_day: int = -1, last_day: int = 30, password: bytes = b"") -> dict:
@@ -121,19 +123,22 @@ def unlink(file: str) -> None:
     Path(file).unlink()
 
 
-def refusal(folder: Path, page: dict) -> str:
+@pytest.fixture
+def refusal(capsys: pytest.CaptureFixture[str]) -> Refusal:
     """Return the message of a page that ends with exit code 2."""
-    process = PageProcess(folder, free_port(), **page)
-    done = subprocess.run(
-        process.command, cwd=ROOT, capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL
-    )
-    assert done.returncode == 2, done.stderr
-    assert len(done.stderr.splitlines()) == 1, done.stderr
-    return done.stderr
+
+    def told(folder: Path, page: dict) -> str:
+        assert main(str(PageProcess(folder, free_port(), **page).config)) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        return line
+
+    return told
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_file_that_is_none_is_refused_by_setting_and_name(tmp_path: Path, case: str) -> None:
+def test_a_file_that_is_none_is_refused_by_setting_and_name(
+    tmp_path: Path, refusal: Refusal, case: str
+) -> None:
     setting, reason, spoil = BAD[case]
     page = make_certificate(tmp_path)
     spoil(page)
@@ -142,7 +147,9 @@ def test_a_file_that_is_none_is_refused_by_setting_and_name(tmp_path: Path, case
     assert reason in told
 
 
-def test_a_key_of_another_certificate_or_behind_a_password_is_refused(tmp_path: Path) -> None:
+def test_a_key_of_another_certificate_or_behind_a_password_is_refused(
+    tmp_path: Path, refusal: Refusal
+) -> None:
     page, other = make_certificate(tmp_path / "a"), make_certificate(tmp_path / "b", password=b"hello")
     told = refusal(tmp_path, page | {"key_file": other["key_file"]})
     assert f"page.key_file: {other['key_file']}: not a key in PEM without a password" in told
@@ -151,7 +158,9 @@ def test_a_key_of_another_certificate_or_behind_a_password_is_refused(tmp_path: 
     assert f"page.key_file: {other['key_file']}: not the key of {page['certificate']}" in told
 
 
-def test_an_expired_certificate_is_refused_and_one_of_tomorrow_is_not(tmp_path: Path) -> None:
+def test_an_expired_certificate_is_refused_and_one_of_tomorrow_is_not(
+    tmp_path: Path, refusal: Refusal
+) -> None:
     page = make_certificate(tmp_path, -9, -1)
     assert f"page.certificate: {page['certificate']}: it has expired" in refusal(tmp_path, page)
     # The clock of a computer without a battery is behind until it has a network.
