@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_steering import document, status
+from test_wish_desk import document, status
 
 from edge.assistant.llm.ledger import RULE
 from edge.assistant.requests.desk import DeskParts, WishDesk, messages

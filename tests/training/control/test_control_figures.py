@@ -1,12 +1,13 @@
-"""Figures of a run, by numbers that were worked out by hand."""
+"""Figures of a run, by numbers that were worked out by hand, and their means over seeds."""
 
+import math
 from collections import Counter
 
 import numpy as np
 import pytest
 
 from training.control.closed_loop import ClosedLoopLog
-from training.control.figures import before_k, cycles, figures, left_k, overshoot_k
+from training.control.figures import Mean, before_k, cycles, figures, left_k, mean_of, overshoot_k, ratio
 
 
 def log(**columns: list[float]) -> ClosedLoopLog:
@@ -100,3 +101,22 @@ def test_only_air_that_goes_away_from_the_reference_has_left_it():
 
 def test_a_ramp_is_no_step():
     assert overshoot_k(np.array([20.0, 20.5, 21.0]), np.array([20.0, 25.0, 25.0])) == 0.0
+
+
+def test_the_interval_is_students():
+    found = mean_of([1.0, 2.0, 3.0])
+    assert found.value == 2.0
+    assert found.half == pytest.approx(4.3027 / math.sqrt(3.0), rel=1e-4)  # t(2, 0.975), sd 1
+
+
+def test_one_seed_says_nothing_of_the_spread():
+    assert mean_of([1.0]) == Mean(1.0, math.inf, 1)
+
+
+def test_no_seed_is_an_error():
+    with pytest.raises(ValueError, match="no values"):
+        mean_of([])
+
+
+def test_seeds_are_paired():
+    assert ratio([1.0, 3.0], [0.5, 1.5]) == Mean(2.0, 0.0, 2)

@@ -1,12 +1,15 @@
-"""Training of the networks: when it stops, what it keeps, what it repeats, what it refuses."""
+"""The networks: what they see and repeat, when their training stops, what it refuses, and hostile weights."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch import nn
+from torch import Tensor, nn
 from training_runs import BOX, box_run
 
 from edge.core.errors import DataError
@@ -14,10 +17,14 @@ from training.data.pairs import split_all, windows
 from training.models import ham, ham_guarded, pbm
 from training.models.fit_network import EarlyStopping, Pairs, fit
 from training.models.lstm import LstmNet
+from training.models.networks import NETWORKS
 from training.models.predictors import WindowPredictor
 from training.models.rollout import errors, free_run
-from training.models.window_network import WindowSettings
+from training.models.weights import load_network
+from training.models.window_network import WINDOW, WindowNet, WindowSettings, train
 from training.models.window_network import train as train_window
+from training.rl import checkpoint
+from training.rl.weights import load_q_network
 
 TINY_LSTM = WindowSettings(epochs=2, hidden=4)
 TINY_HAM = ham.HamSettings(epochs=2, hidden=4)
@@ -80,7 +87,7 @@ def train_guarded(seed: int) -> nn.Module:
     return ham_guarded.train([box_run(1)], BOX, seed, TINY_GUARDED)[0]
 
 
-@pytest.mark.parametrize("train", [train_lstm, train_ham, train_guarded])
+@pytest.mark.parametrize("train", [train_ham, train_guarded])
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(train) -> None:
     first, again, other = (train(seed).state_dict() for seed in (3, 3, 4))
     assert all(torch.equal(first[name], again[name]) for name in first)
@@ -165,14 +172,72 @@ def test_a_few_epochs_bring_the_lstm_near_the_box() -> None:
     assert found.mae_k < 0.5 * float(np.std(run.columns["temp_air_c"]))
 
 
-def test_an_increment_is_added_to_the_last_temperature() -> None:
-    network = LstmNet(torch.zeros(3), torch.ones(3), 0.25, 0.0, 4, predicts_increment=True).eval()
-    window = torch.full((1, 10, 3), 20.0)
-    assert network(window).tolist() == [20.25]
-
-
 def test_the_lstm_s_scaler_is_of_the_training_part_alone() -> None:
     network = train_lstm(0)
     temps = windows(split_all([box_run(1)]).train, 10)[0].reshape(-1, 3)
     assert network.mean.tolist() == pytest.approx(temps.mean(axis=0).tolist(), rel=1e-6)
     assert network.scale.tolist() == pytest.approx(temps.std(axis=0).tolist(), rel=1e-6)
+
+
+torch.set_num_threads(1)
+
+
+def made(name: str, **settings: Any) -> WindowNet:
+    torch.manual_seed(4)
+    return NETWORKS[name](torch.zeros(3), torch.ones(3), 0.0, 1.0, hidden=8, **settings).eval()
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_a_prediction_depends_on_every_row_and_column_of_the_window(name: str) -> None:
+    # Many windows: a rectifier that is off in one of them hides rows there.
+    window = torch.randn(64, WINDOW, 3, generator=torch.Generator().manual_seed(1)).requires_grad_()
+    found = made(name)(window)
+    assert found.shape == (64,)
+    (slope,) = torch.autograd.grad(found[:63].sum(), window)
+    assert (slope[:63] != 0.0).any(dim=0).all()
+    assert (slope[63] == 0.0).all()  # another window's prediction does not read it
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.parametrize("increment", [False, True])
+def test_the_target_is_brought_back_to_kelvin(name: str, increment: bool) -> None:
+    network = made(name, predicts_increment=increment)
+    network.target_mean.fill_(0.25)
+    network.target_scale.fill_(0.0)
+    window = torch.full((1, WINDOW, 3), 20.0)
+    assert network(window).tolist() == [20.25 if increment else 0.25]
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_same_seed_gives_the_same_weights(name: str) -> None:
+    def weights(seed: int) -> dict[str, Tensor]:
+        return dict(
+            train(NETWORKS[name], [box_run(1)], seed, WindowSettings(epochs=1, hidden=4))[0].state_dict()
+        )
+
+    first, again, other = weights(3), weights(3), weights(4)
+    assert all(torch.equal(first[key], again[key]) for key in first)
+    assert not all(torch.equal(first[key], other[key]) for key in first)
+
+
+class TouchesAFile:
+    """Unpickling an instance creates `path`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return Path.touch, (self._path,)
+
+
+@pytest.mark.parametrize(
+    "load",
+    [load_network, load_q_network, lambda path: checkpoint.restore(None, path)],
+    ids=["network", "Q-network", "checkpoint"],
+)
+def test_a_file_of_weights_that_would_run_code_is_refused_before_it_does(load, tmp_path):
+    path, trace = tmp_path / "weights.pt", tmp_path / "code was run"
+    torch.save({"format": 1, "kind": "LstmNet", "0.weight": TouchesAFile(trace)}, path)
+    with pytest.raises(DataError, match=r"weights\.pt"):
+        load(path)
+    assert not trace.exists()
