@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from edge.__main__ import main
 from edge.tick.orders import in_words
@@ -295,7 +296,8 @@ def test_a_wrong_or_missing_configuration_is_one_clear_line_and_exit_code_2(
 ) -> None:
     config = folder / "edge.yaml"
     if text is not None:
-        config.write_text(text)
+        places = {"state_file": f"{folder}/state.json", "bundle": {"path": f"{folder}/bundles"}}
+        config.write_text(f"{text}\n{yaml.safe_dump(places)}")
     assert main(["run", "--config", str(config)]) == 2
     told = capsys.readouterr()
     assert said in told.err
