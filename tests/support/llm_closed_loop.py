@@ -66,7 +66,6 @@ def run(
         prepare(folder)
         with Lab(
             settings,
-            board="here",
             folder=folder,
             recorded=True,
             with_truth=True,
