@@ -35,9 +35,9 @@ settings.register_profile("person", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "person")
 
 
-AT_START = str(Path(machine_places.__file__).parent)
-if AT_START not in os.environ.get("PYTHONPATH", "").split(os.pathsep):  # a worker of xdist inherits it
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (AT_START, os.environ.get("PYTHONPATH"))))
+AT_START, SEARCHED = str(Path(machine_places.__file__).parent), "PYTHONPATH"
+if AT_START not in os.environ.get(SEARCHED, "").split(os.pathsep):  # a worker of xdist inherits it
+    os.environ[SEARCHED] = os.pathsep.join(filter(None, (AT_START, os.environ.get(SEARCHED))))
 
 for number in (signal.SIGINT, signal.SIGHUP):  # ignored in the background, which processes would inherit
     if signal.getsignal(number) is signal.SIG_IGN:

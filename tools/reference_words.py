@@ -1,7 +1,6 @@
 """Words of the manual's Reference that only a person can say; `reference.py` holds them to the code."""
 
 VARIABLES = {
-    "CC": "C compiler for the virtual board's C side; usual: gcc",
     "CI": "set: the property tests take the same examples every time",
     "CREDENTIALS_DIRECTORY": "folder of systemd credentials; a bare file name in a setting is sought there",
     "GREENHOUSE_DIAGNOSIS": "folder through which the daemon asks the nightly diagnosis unit to start",

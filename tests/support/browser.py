@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from selenium import webdriver
-from selenium.webdriver.remote.webdriver import WebDriver
+from selenium.webdriver.chrome.webdriver import WebDriver
 
 PHONE, DESK = (360, 780), (1440, 1000)
 PROGRAMS = {"chromium": "chromium", "chromium-driver": "chromedriver"}  # Debian package -> program

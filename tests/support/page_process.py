@@ -141,7 +141,7 @@ def rig_with_page(
     with (
         TemporaryDirectory(prefix="gh-") as name,  # short, for the names of sockets
         virtual_board(Path(name), "--real-time") as board,
-        kind(Path(name), **sections) as daemon,
+        kind(Path(name), None, **sections) as daemon,
         page_of(Path(name)) as page,
     ):
         yield daemon, page, board
