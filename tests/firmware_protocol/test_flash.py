@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from contextlib import suppress
 
 import pytest
 from avr.arduino import BLANK, BOOTLOADERS, Arduino
@@ -21,6 +22,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 BAUDRATE = 115_200
 HALF_OF_THE_PROGRAM = 12_000  # bytes on the line
 GREETED_S = 40.0
+TRIES = 3  # a simulator that gets no processor for a while loses a byte
 NOBODY_S = 3.0  # to wait for a board that has no program
 
 
@@ -40,12 +42,13 @@ def tools():
     assert shutil.which("avrdude"), "avrdude is missing: `make test` installs it"
 
 
-def flashed(board: str, port, before_s: float = GREETED_S) -> str:
+def flashed(board: str, port) -> str:
+    """All that a flash of a board says which has no program."""
     try:
-        return flash(board, port, before_s)
+        return flash(board, port, NOBODY_S)
     except RequestError as error:  # a simulator that gets no processor for a while loses a byte
         assert "Run the same command again" in str(error)
-        return flash(board, port, before_s)
+        return flash(board, port, NOBODY_S)
 
 
 def flash(board: str, port, before_s: float) -> str:
@@ -66,7 +69,7 @@ def test_a_new_arduino_is_flashed_configured_and_shown(avr_host, tmp_path, board
     wiring, port = WIRINGS[board], tmp_path / "port"
     (tmp_path / "blank.hex").write_text(BLANK)
     with Arduino(avr_host, board, wiring, port, tmp_path / "blank.hex"):
-        said = flashed(board, port, NOBODY_S)
+        said = flashed(board, port)
         assert "before: " in said and "no board answers" in said
         assert re.search(r"after: board 0, program \d+\.\d+\.\d+;", said) and "no configuration yet" in said
         block = decode_block(configured(wiring, all_parts(wiring))[16:])
@@ -83,22 +86,32 @@ def test_a_new_arduino_is_flashed_configured_and_shown(avr_host, tmp_path, board
 def test_a_renewed_program_keeps_its_configuration(avr_host, tmp_path):
     wiring, port = WIRINGS["uno"], tmp_path / "port"
     eeprom = configured(wiring, all_parts(wiring))
-    with Arduino(avr_host, "uno", wiring, port, program_of("uno"), eeprom):
-        said = flashed("uno", port)
-        assert re.search("before: board 7, program", said) and re.search("after: board 7, program", said)
-        assert "the configuration is the same" in said
+    said = ""
+    for _ in range(TRIES):  # after one that failed the old program is gone
+        with (
+            Arduino(avr_host, "uno", wiring, port, program_of("uno"), eeprom),
+            suppress(RequestError),
+        ):
+            said = flash("uno", port, GREETED_S)
+            break
+    assert re.search("before: board 7, program", said) and re.search("after: board 7, program", said)
+    assert "the configuration is the same" in said
 
 
 def test_a_flash_that_breaks_off_leaves_a_board_that_drives_nothing(avr_host, tmp_path, monkeypatch):
-    monkeypatch.setattr(firmware_file_module, "FLASH_S", 12.0)  # avrdude waits for ever at a dead terminal
+    monkeypatch.setattr(firmware_file_module, "FLASH_S", 8.0)  # avrdude spins for ever at a dead terminal
     wiring, port = WIRINGS["uno"], tmp_path / "port"
     eeprom = configured(wiring, all_parts(wiring))
     with Arduino(avr_host, "uno", wiring, port, program_of("uno"), eeprom) as arduino:
-        lines = board_tool.flash("uno", str(port), BAUDRATE)
-        with pytest.raises(RequestError, match="the board is stopped and drives nothing"):
-            for line in lines:
-                if line.startswith("writing 1"):
-                    arduino.cut_after = HALF_OF_THE_PROGRAM
+        for _ in range(TRIES):
+            lines = board_tool.flash("uno", str(port), BAUDRATE)
+            with pytest.raises(RequestError, match="the board is stopped and drives nothing"):
+                for line in lines:
+                    if line.startswith("writing 1"):
+                        arduino.cut_after = HALF_OF_THE_PROGRAM
+            if arduino.cut_after is None:
+                break
+        assert arduino.cut_after is None
         arduino.events.clear()
         with monkeypatch.context() as patch, pytest.raises(RequestError, match="no board answers"):
             patch.setattr(board_session, "GREETED_S", 5.0)
@@ -106,7 +119,7 @@ def test_a_flash_that_breaks_off_leaves_a_board_that_drives_nothing(avr_host, tm
         outputs = {port for port, _ in wiring.output_places}
         led = 1 << 5  # of the bootloader
         assert not [e for e in arduino.events if e.kind == "D" and e.port in outputs and e.value & ~led]
-        assert "the program that was written" not in flashed("uno", port, NOBODY_S)
+        assert "the program that was written" not in flashed("uno", port)
         with BoardSession(str(port)) as session:
             assert session.hello.board_id == 7
 
