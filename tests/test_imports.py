@@ -46,7 +46,7 @@ FLEET = (
     ("numbers",),
     ("database",),
 )
-TRAINING = {"data", "models", "export", "evaluate", "rl", "control", "reports", "llm_stand_in"}
+TRAINING = {"data", "models", "export", "evaluate", "rl", "control", "llm_stand_in"}
 WIRE = {
     "edge/board/board.py",
     "edge/board/board_file.py",

@@ -9,14 +9,13 @@ from edge.commands.bundle import as_owner, settings_of, store_of
 from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import Settings
 from edge.core.errors import RequestError
-from edge.evidence.chain import extend_chain, seal_chain, start_chain
+from edge.evidence.chain import extend_chain, rig_facts, seal_chain, start_chain
 from edge.evidence.chain_files import ChainDay
 from edge.evidence.marks import BEGIN, END, EvidenceMark, add_mark
 from edge.evidence.proof import open_record
 from edge.evidence.protocol import PHASES
 from edge.evidence.record_table import RecordCollector
 from edge.evidence.report import proof_lines, report
-from edge.evidence.rig_facts import rig_facts
 from edge.formats.atomic_file import write_atomically
 
 ACTIONS = {  # action -> help

@@ -5,6 +5,7 @@ writes leaves a day that is made anew.
 """
 
 import json
+import platform
 import sqlite3
 import tempfile
 from collections.abc import Mapping
@@ -13,8 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edge.bundle.archive import pack
+from edge.bundle.manifest import MANIFEST, PACKAGED
 from edge.bundle.sign import read_private_key
 from edge.bundle.signature import fingerprint
+from edge.bundle.store import PACKAGED_FOLDER, BundleStore
+from edge.config.loading import config_hash
+from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
 from edge.core.version import __version__
 from edge.evidence.chain_files import (
@@ -43,6 +48,7 @@ from edge.evidence.day_rows import collect_day
 from edge.evidence.marks import read_marks
 from edge.evidence.protocol import protocol_sha256
 from edge.formats.atomic_file import hold_lock, write_atomically
+from edge.formats.input_file import SMALL, read_text
 from edge.storage.run_rows import reading
 
 if TYPE_CHECKING:
@@ -198,3 +204,33 @@ def _public_pem(key: "Ed25519PrivateKey") -> bytes:
     from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
     return key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+
+
+def rig_facts(config: Path, settings: Settings, store: BundleStore) -> dict[str, Any]:
+    """Return plain values. A file that cannot be read is a fact too."""
+    files = {path.name: _file_text(path) for path in (config, config.parent / "board.yaml") if path.exists()}
+    return {
+        "software": __version__,
+        "python": platform.python_version(),
+        "machine": f"{platform.machine()}, {platform.system()} {platform.release()}",
+        "config_sha256": config_hash(settings),
+        "bundle": _bundle(store),
+        "files": files,
+    }
+
+
+def _file_text(path: Path) -> str:
+    try:
+        return read_text(path, SMALL >> 2)
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+
+
+def _bundle(store: BundleStore) -> str:
+    """Return the active bundle and the SHA-256 of its manifest."""
+    try:
+        active = store.roles().active
+        folder = PACKAGED_FOLDER if active == PACKAGED else store.folder_of(active)
+        return f"{active}, manifest {sha256((folder / MANIFEST).read_bytes())}"
+    except (DataError, OSError) as error:
+        return f"cannot be read: {error}"

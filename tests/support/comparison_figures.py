@@ -4,11 +4,11 @@ import numpy as np
 
 from training.data.datasets import test_run as run_of
 from training.evaluate.ablation import Base, ByExcess, UnexplainedError
+from training.evaluate.report import MODELS, Evaluation
 from training.evaluate.resources import ModelCost
 from training.evaluate.scores import ScoredRun, SwappedModel, TrainingScore
 from training.models.rollout import START_ROWS, RolloutErrors
 from training.models.study import SCENARIOS, Regime
-from training.reports.report_tables import MODELS, Evaluation
 
 SEEDED = ("lstm", "ham", "lstm_increment", "ham_guarded", "ham_unguarded")
 MISSED_K = {"linear": 1.0, "pbm": 100.0, "lstm": 0.5, "ham": 2.0, "linear_ambient": 0.7, "twin": 0.3,

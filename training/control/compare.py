@@ -55,11 +55,12 @@ from training.control.comparison import (
 )
 from training.control.figures import DecisionTime, decision_time, mean_of
 from training.control.job import ComparisonJob, is_kept, read, run_all
-from training.control.pictures import bars_picture, png, runs_picture
+from training.control.pictures import bars_picture, runs_picture
 from training.control.rig import SPARING, entries
+from training.evaluate.pictures import png
+from training.evaluate.report import read_findings, words_as_html
 from training.llm_stand_in import MODEL as STAND_IN
 from training.llm_stand_in.server import StandIn
-from training.reports.comparison_report import read_findings, words_as_html
 
 Floats = NDArray[np.float64]
 OURS = ("MPC-Twin/early", "MPC-Twin-P/early", *SPARING)

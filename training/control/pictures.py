@@ -1,6 +1,5 @@
 """The pictures of the comparison, as PNG bytes, in the paper's form: runs and MAE bars."""
 
-import io
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
 
@@ -11,10 +10,10 @@ from numpy.typing import NDArray
 
 from training.control.comparison import BY, Results, column, rows_of
 from training.control.figures import mean_of
+from training.evaluate.pictures import png
 
 Floats = NDArray[np.float64]
 LABEL_LETTERS = 28  # in a line below a bar
-DPI = 74  # the pictures lie in the repository
 COLUMN_IN, ROWS_IN = 3.6, (2.8, 0.6, 1.2)  # width of a controller's column; temperature, fan, heater
 
 
@@ -79,10 +78,3 @@ def bars_picture(results: Results, names: Sequence[str], references: Sequence[st
     axes.set_title(f"-P: with penalty. {decided}Grey: within the sensor's ±0.5 K", fontsize="medium")
     axes.legend(fontsize="small")
     return png(figure)
-
-
-def png(figure: Figure) -> bytes:
-    """As all pictures of the comparison are drawn."""
-    out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=DPI, pil_kwargs={"optimize": True})
-    return out.getvalue()

@@ -17,7 +17,7 @@ from edge.models.pbm import Pbm
 from edge.twin.model import BoxTwin
 from training.data.datasets import training_runs
 from training.data.pairs import split_all, stretches
-from training.models import ham_guarded, pbm
+from training.models import ham, pbm
 from training.models.predictors import GuardedHamPredictor
 from training.models.rollout import START_ROWS, free_run, mean_free_run_mae
 from training.models.saved_training import SavedTraining
@@ -112,8 +112,8 @@ def bases(seeds: Sequence[int] = SEEDS) -> list[Base]:
     return found
 
 
-def _hybrid(runs: Sequence[RecordedRun], twin: BoxTwin, seed: int) -> ham_guarded.GuardedHamNet:
-    network, _ = ham_guarded.train(runs, twin, seed, ham_guarded.GuardedHamSettings())
+def _hybrid(runs: Sequence[RecordedRun], twin: BoxTwin, seed: int) -> ham.GuardedHamNet:
+    network, _ = ham.train_guarded(runs, twin, seed, ham.GuardedHamSettings())
     return network
 
 

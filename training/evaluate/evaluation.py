@@ -19,14 +19,13 @@ from training.control.compare import kept_section
 from training.data.datasets import test_run
 from training.evaluate.ablation import bases, by_excess, unexplained_errors
 from training.evaluate.difference import differences, first_difference
+from training.evaluate.pictures import MODELS, bars_picture, radar_picture, scenario_picture
+from training.evaluate.report import Evaluation, costs_table, read_findings, report, tables
 from training.evaluate.resources import ModelCost, costs
 from training.evaluate.scores import ScoredRun, TrainingScore, score_runs, swap_models
 from training.models.fit_network import make_deterministic
 from training.models.saved_training import SavedTraining, read_trained, remove_guard, without_weights
 from training.models.study import SCENARIOS
-from training.reports.comparison_report import read_findings, report
-from training.reports.report_pictures import MODELS, bars_picture, radar_picture, scenario_picture
-from training.reports.report_tables import Evaluation, costs_table, tables
 
 COMMAND = "greenhouse-train evaluate"
 # Of figures made on another machine [K]. A free run of 203 steps in float32: at most 1.1e-5 was seen.
@@ -106,11 +105,6 @@ def machine() -> dict[str, str]:
     )
     versions = {name: importlib.metadata.version(name) for name in COMPUTES}
     return {"cpu": cpu, "architecture": platform.machine(), "python": platform.python_version(), **versions}
-
-
-def machine_line() -> str:
-    """Return `machine` as one line of a table's head."""
-    return ", ".join(f"{key} {value}" for key, value in machine().items())
 
 
 def _cpu_lines() -> list[str]:

@@ -26,13 +26,12 @@ from edge.twin.fit import TwinFit, fit_twin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from training.data.datasets import Split
-from training.models import ham_guarded
+from training.evaluate.report import spread
+from training.models import ham
 from training.models.fit_network import make_deterministic
-from training.models.lstm import LstmNet
 from training.models.predictors import GuardedHamPredictor, WindowPredictor
 from training.models.rollout import START_ROWS
-from training.models.window_network import WindowSettings, train_on
-from training.reports.report_tables import spread
+from training.models.window_network import LstmNet, WindowSettings, train_on
 
 STEP_S = 10.0
 HORIZONS_S = (10, 30, 60, 120, 300)
@@ -212,8 +211,8 @@ def _lstm(parts: Split, seed: int, increment: bool) -> Predictor:
 
 
 def _ham(parts: Split, box: FittedBox, seed: int, guarded: bool) -> Predictor:
-    settings = ham_guarded.GuardedHamSettings()
-    network, _ = ham_guarded.train_on(parts, box.predictor.twin, seed, settings)
+    settings = ham.GuardedHamSettings()
+    network, _ = ham.train_guarded_on(parts, box.predictor.twin, seed, settings)
     if not guarded:
         network.margin.copy_(torch.full_like(network.margin, torch.inf))
     return GuardedHamPredictor(network)

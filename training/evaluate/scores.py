@@ -1,7 +1,7 @@
 """Every kept training scored again on the test runs of its regime, from its weights."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,13 +108,6 @@ def orders(
     seeds = max(len(maes(scores, model, regime)) for model in models)
     columns = {model: by_seed(scores, model, regime, seeds) for model in models}
     return Counter(tuple(sorted(models, key=lambda model: columns[model][seed])) for seed in range(seeds))
-
-
-def mean_of(
-    scores: Iterable[TrainingScore], model: str, regime: Regime, value: Callable[[TrainingScore], float]
-) -> float:
-    """Mean of a figure over seeds and scenarios."""
-    return float(np.mean([value(s) for s in scores if s.model == model and s.regime == regime]))
 
 
 def _score(kept: SavedTraining, scenario: int) -> ScoredRun:

@@ -19,7 +19,7 @@ from onnx import GraphProto, ModelProto, TensorProto, ValueInfoProto, helper
 from torch import Tensor
 
 from training.export.onnx_graph import Graph, real
-from training.models.lstm import LstmNet
+from training.models.window_network import LstmNet
 
 Floats = NDArray[np.float64]
 _GATE_NAMES = ("input", "forget", "cell", "output")  # torch's order

@@ -10,8 +10,7 @@ from onnx import ModelProto
 from torch import Tensor, nn
 
 from training.export.onnx_graph import OPSET, Graph, real
-from training.models.ham import HamNet
-from training.models.ham_guarded import GuardedHamNet
+from training.models.ham import GuardedHamNet, HamNet
 from training.models.predictors import Network
 from training.models.window_network import COLUMNS, WINDOW, WindowNet
 

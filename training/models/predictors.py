@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from edge.core.predictor import Columns, Floats, Predictor
-from training.models.ham import HamNet
-from training.models.ham_guarded import GuardedHamNet
+from training.models.ham import GuardedHamNet, HamNet
 from training.models.window_network import COLUMNS, WINDOW, WindowNet
 
 Network = WindowNet | HamNet | GuardedHamNet

@@ -1,7 +1,7 @@
 """Every model that can be trained, by the name it has in tables; the paper's four, then ours beside them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,27 +11,43 @@ from torch import nn
 from edge.core.errors import DataError
 from edge.core.predictor import Predictor
 from edge.formats.run_file import RecordedRun, data_sha256
+from edge.models.arx import FanInput
 from edge.models.arx_file import write_arx
-from edge.models.fit_arx import FREE_RUN_STEPS, ArxFit
+from edge.models.fit_arx import FREE_RUN_STEPS, ArxFit, fit_arx
 from edge.models.pbm import Pbm
 from edge.twin.fit import fit_twin
 from edge.twin.twin_file import TwinFile, write_twin_file
 from training.data.pairs import split_all
-from training.models import ham, ham_guarded, linear, pbm
+from training.models import ham, pbm
 from training.models.fit_network import Progress
-from training.models.lstm import LstmNet
 from training.models.predictors import GuardedHamPredictor, HamPredictor, WindowPredictor
+from training.models.rollout import START_ROWS
 from training.models.study import Train, TrainedModel
 from training.models.weights import save_network
-from training.models.window_network import WindowNet, WindowSettings, train
+from training.models.window_network import LstmNet, WindowNet, WindowSettings, train
 
 NETWORK_FILE, TWIN_FILE, ARX_FILE = "network.pt", "twin.yaml", "arx.json"
+ORDERS = tuple((p, q) for p in (1, 2, 3, 4, 6, 8, START_ROWS) for q in (1, 2, 3, 4, 6))
+
+
+@dataclass(frozen=True, slots=True)
+class LinearSettings:
+    """The paper's form (eq. method-arx-equation); with ambient and excess it is the rig's own, see `Arx`."""
+
+    step_s: float = 60.0
+    orders: tuple[tuple[int, int], ...] = ORDERS
+    fan_input: FanInput = "on"
+    with_ambient: bool = False
+
+
+WITH_AMBIENT = LinearSettings(fan_input="excess", with_ambient=True)
 
 
 def _linear(
-    settings: linear.LinearSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
+    settings: LinearSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
 ) -> TrainedModel:
-    fit = linear.train(runs, settings)
+    parts = split_all(runs)
+    fit = fit_arx(parts.train, parts.validate, **asdict(settings))
     progress = {
         "p": len(fit.model.temp),
         "q": len(fit.model.heater),
@@ -79,10 +95,10 @@ def _ham(settings: ham.HamSettings, runs: Sequence[RecordedRun], seed: int, log:
 
 
 def _train_guarded(
-    settings: ham_guarded.GuardedHamSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
+    settings: ham.GuardedHamSettings, runs: Sequence[RecordedRun], seed: int, log: Path | None
 ) -> TrainedModel:
     file = pbm.train(runs, pbm.FITTED)
-    network, progress = ham_guarded.train(runs, file.twin(), seed, settings, log)
+    network, progress = ham.train_guarded(runs, file.twin(), seed, settings, log)
     trained = _trained_model(GuardedHamPredictor(network), network, settings, progress)
 
     def save(out: Path, facts: Mapping[str, Any]) -> None:
@@ -111,9 +127,9 @@ def _train_given(file: TwinFile, runs: Sequence[RecordedRun], seed: int, log: Pa
 def _train_guarded_given(
     file: TwinFile, runs: Sequence[RecordedRun], seed: int, log: Path | None
 ) -> TrainedModel:
-    settings = ham_guarded.GuardedHamSettings()
+    settings = ham.GuardedHamSettings()
     known = _known_twin(file, runs)
-    network, progress = ham_guarded.train(runs, known.twin(), seed, settings, log)
+    network, progress = ham.train_guarded(runs, known.twin(), seed, settings, log)
     trained = _trained_model(GuardedHamPredictor(network), network, settings, progress)
 
     def save(out: Path, facts: Mapping[str, Any]) -> None:
@@ -150,16 +166,16 @@ def _trained_model(
 
 
 MODELS: Mapping[str, Train] = {
-    "linear": partial(_linear, linear.LinearSettings()),
+    "linear": partial(_linear, LinearSettings()),
     "pbm": partial(_pbm, pbm.PbmSettings()),
     "lstm": partial(train_window, LstmNet, WindowSettings()),
     "ham": partial(_ham, ham.HamSettings()),
     "pbm_fitted": partial(_pbm, pbm.ONE_MASS),
     # Ours, beyond the paper:
-    "linear_ambient": partial(_linear, linear.WITH_AMBIENT),
+    "linear_ambient": partial(_linear, WITH_AMBIENT),
     "twin": partial(_pbm, pbm.FITTED),
     "lstm_increment": partial(train_window, LstmNet, WindowSettings(predicts_increment=True)),
-    "ham_guarded": partial(_train_guarded, ham_guarded.GuardedHamSettings()),
+    "ham_guarded": partial(_train_guarded, ham.GuardedHamSettings()),
 }
 TWIN_GIVEN, HAM_GIVEN = "twin_given", "ham_given"
 SEEDED = ("lstm", "ham", "lstm_increment", "ham_guarded", HAM_GIVEN)  # others come out the same every time

@@ -12,7 +12,7 @@ from edge.core.errors import DataError
 from edge.core.predictor import Predictor
 from edge.models.arx_file import read_arx
 from edge.models.pbm import read_twin
-from training.models.ham_guarded import GuardedHamNet
+from training.models.ham import GuardedHamNet
 from training.models.predictors import GuardedHamPredictor, eager
 from training.models.registry import ARX_FILE, NETWORK_FILE, TWIN_FILE
 from training.models.study import RESULT_FILE, SCENARIOS, Regime

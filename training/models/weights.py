@@ -11,14 +11,15 @@ from torch import nn
 
 from edge.core.errors import DataError
 from edge.twin.geometry import Geometry
-from training.models.ham import STEP_S, HamNet
-from training.models.ham_guarded import GuardedHamNet
-from training.models.networks import NETWORKS
+from training.models.ham import STEP_S, GuardedHamNet, HamNet
 from training.models.predictors import Network
 from training.models.twin_step import TwinStep
-from training.models.window_network import WindowNet
+from training.models.window_network import LstmNet, WindowNet
 
 FORMAT = 1
+NETWORKS: Mapping[str, type[WindowNet]] = {  # every network that sees a window, for weights and export
+    "lstm": LstmNet,
+}
 # Kept before a twin in a graph could have a sensor with a bias: it had none.
 _SINCE = {"twin.room_shift": torch.zeros(())}
 

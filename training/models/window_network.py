@@ -1,7 +1,7 @@
 """The seam of every network that sees a window: its last 10 rows in, the next air temperature out.
 
 What differs between two networks is `add_layers` and `read`; the scaler, the target (T+, or T+ - T) and the
-training are here. `networks.py` lists the networks.
+training are here. `weights.py` lists the networks; the paper's LSTM stands at the end.
 """
 
 from abc import ABC, abstractmethod
@@ -143,3 +143,27 @@ def _pairs(network: WindowNet, inputs: np.ndarray, following: np.ndarray, settin
     target = torch.from_numpy(_target(inputs, following, settings)).float()
     scaled = (target - network.target_mean) / network.target_scale
     return Pairs(torch.from_numpy(inputs).float(), scaled)
+
+
+class LstmNet(WindowNet):
+    """Three times LSTM and Linear, dropout between."""
+
+    kind = "lstm"  # a rig before the other networks knows it by this name
+
+    def add_layers(self, hidden: int, dropout: float) -> None:
+        """As `WindowNet.add_layers`."""
+        self.lstm_1 = nn.LSTM(len(COLUMNS), hidden, batch_first=True)
+        self.linear_1 = nn.Linear(hidden, hidden)
+        self.lstm_2 = nn.LSTM(hidden, hidden, batch_first=True)
+        self.linear_2 = nn.Linear(hidden, hidden)
+        self.lstm_3 = nn.LSTM(hidden, hidden, batch_first=True)
+        self.linear_3 = nn.Linear(hidden, 1)
+        self.dropout = nn.Dropout(dropout)
+
+    def read(self, scaled: Tensor) -> Tensor:
+        """As `WindowNet.read`."""
+        hidden, _ = self.lstm_1(scaled)
+        hidden, _ = self.lstm_2(self.dropout(self.linear_1(hidden)))
+        hidden, _ = self.lstm_3(self.dropout(self.linear_2(hidden)))
+        found: Tensor = self.linear_3(hidden[:, -1])
+        return found

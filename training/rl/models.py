@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from edge.twin.model import BoxTwin
 from edge.twin.warm_start import PastColumns, state_now
-from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import LstmNet
+from training.models.ham import GuardedHamNet
+from training.models.window_network import LstmNet
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -32,11 +32,10 @@ from training.data.datasets import training_runs
 from training.rl import checkpoint
 from training.rl.read_model import REGIME
 from training.rl.reward import WEIGHTS, Weights, reward
-from training.rl.saved_policy import RECORD_FILE
+from training.rl.saved_policy import RECORD_FILE, load_weights
 from training.rl.settings import OnlineSettings, learner_arguments
 from training.rl.study import SAMPLE_S, keep, software, validate
 from training.rl.vec_env import ACTION_SPACE, OBSERVATION_SPACE
-from training.rl.weights import load_weights
 
 Observation = NDArray[np.float32]
 RETRY_S = 0.1

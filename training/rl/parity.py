@@ -20,9 +20,8 @@ from training.data.datasets import training_runs
 from training.rl.command import POLICIES
 from training.rl.episodes import recorded_observations
 from training.rl.read_model import REGIME
-from training.rl.saved_policy import POLICY_FILE, WEIGHTS_FILE
+from training.rl.saved_policy import POLICY_FILE, WEIGHTS_FILE, load_q_network
 from training.rl.study import greedy
-from training.rl.weights import load_q_network
 
 
 @dataclass(frozen=True, slots=True)

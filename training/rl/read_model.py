@@ -9,12 +9,12 @@ from edge.core.errors import DataError
 from edge.lab.box import draw_values
 from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile, read_twin_file
-from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import LstmNet
+from training.models.ham import GuardedHamNet
 from training.models.registry import NETWORK_FILE, TWIN_FILE
 from training.models.study import Regime
 from training.models.summary import best_seed, records
 from training.models.weights import load_network
+from training.models.window_network import LstmNet
 from training.rl.models import HamModel, LstmModel, StepModel, TwinModel
 
 TRAINED = Path("training/results/trained")

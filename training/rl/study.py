@@ -32,8 +32,7 @@ from training.rl.boxes import START_ROWS, EpisodeBoxes, World
 from training.rl.episodes import DrawnEpisodes, recorded_observations
 from training.rl.read_model import REGIME, read_model
 from training.rl.reward import WEIGHTS
-from training.rl.saved_policy import POLICY_FILE, RECORD_FILE, WEIGHTS_FILE
-from training.rl.weights import save_q_network
+from training.rl.saved_policy import POLICY_FILE, RECORD_FILE, WEIGHTS_FILE, save_q_network
 
 GOLDEN = 16  # observations, spread over the given ones
 

@@ -29,7 +29,7 @@ from edge.models.pbm import read_twin
 from edge.twin.schema import schema
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from edge.twin.value import Value
-from training.models import ham_guarded
+from training.models import ham
 from training.models.registry import HAM_GIVEN, TWIN_FILE, TWIN_GIVEN, over
 from training.models.twin_step import TwinStep
 
@@ -368,8 +368,8 @@ def test_values_that_are_to_be_fitted_are_fitted_on_the_training_runs() -> None:
 
 
 def test_the_hybrid_is_trained_over_the_given_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = ham_guarded.GuardedHamSettings(epochs=1)
-    monkeypatch.setattr(ham_guarded, "GuardedHamSettings", lambda: quick)
+    quick = ham.GuardedHamSettings(epochs=1)
+    monkeypatch.setattr(ham, "GuardedHamSettings", lambda: quick)
     file = read_twin_file(PACKAGED_FOLDER / "twin.yaml")
     trained = over(file)[HAM_GIVEN]([box_run(1), box_run(2)], 1, None)
     trained.save(tmp_path, {"regime": "interpolation"})

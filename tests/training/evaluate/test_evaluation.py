@@ -23,19 +23,18 @@ from training.evaluate import ablation, scores
 from training.evaluate import evaluation as command
 from training.evaluate.difference import first_difference
 from training.evaluate.evaluation import ELSEWHERE_K, MACHINE_FILE, json_of
-from training.evaluate.scores import TrainingScore, by_seed, maes, orders, score_runs
-from training.models.rollout import START_ROWS
-from training.models.saved_training import SavedTraining, read_trained, remove_guard, without_weights
-from training.models.summary import best_seed
-from training.reports.comparison_report import report
-from training.reports.report_pictures import (
+from training.evaluate.pictures import (
     INNERMOST,
     bars_picture,
     radar_picture,
     radar_radii,
     scenario_picture,
 )
-from training.reports.report_tables import costs_table, tables
+from training.evaluate.report import costs_table, report, tables
+from training.evaluate.scores import TrainingScore, by_seed, maes, orders, score_runs
+from training.models.rollout import START_ROWS
+from training.models.saved_training import SavedTraining, read_trained, remove_guard, without_weights
+from training.models.summary import best_seed
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / "training" / "results"

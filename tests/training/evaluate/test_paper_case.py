@@ -36,7 +36,7 @@ from training.evaluate.paper_case_models import (
     improved_twin,
 )
 from training.evaluate.scores import TrainingScore, maes
-from training.models import ham_guarded
+from training.models import ham
 from training.models.rollout import errors, free_run
 from training.models.study import SCENARIOS, Regime
 
@@ -183,8 +183,8 @@ def test_what_a_graph_does_not_hold_is_left_out_and_the_rest_fitted_again(
 def test_the_hybrid_forecasts_with_and_without_its_guard(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    quick = ham_guarded.GuardedHamSettings(epochs=1)
-    monkeypatch.setattr(ham_guarded, "GuardedHamSettings", lambda: quick)
+    quick = ham.GuardedHamSettings(epochs=1)
+    monkeypatch.setattr(ham, "GuardedHamSettings", lambda: quick)
     file = TwinFile(effects={"wall_loss": {"UA": Value(4.0)}, "extra_capacity": {"kC": Value(8.0)}})
     late = replace(file, effects={**file.effects, "fan_deadtime": {"d_f": Value(20.0)}})
     twin = ImprovedTwin("extrapolation", 7, late, file, ("fan_deadtime",), document())

@@ -23,15 +23,12 @@ from training.export.ham_graph import divide, scan_steps
 from training.export.network_export import ExportFacts, export, main
 from training.export.onnx_graph import Graph, real
 from training.export.onnx_step import ham_start, single_step
-from training.models.ham import HamNet
-from training.models.ham_guarded import GuardedHamNet
-from training.models.lstm import LstmNet
-from training.models.networks import NETWORKS
+from training.models.ham import GuardedHamNet, HamNet
 from training.models.registry import NETWORK_FILE
 from training.models.study import RESULT_FILE
 from training.models.twin_step import TwinStep
-from training.models.weights import save_network
-from training.models.window_network import COLUMNS, WINDOW, WindowNet
+from training.models.weights import NETWORKS, save_network
+from training.models.window_network import COLUMNS, WINDOW, LstmNet, WindowNet
 
 STEP_K, ROLLOUT_K = 1e-5, 1e-3  # what the exported may differ by: over one step, over a whole run
 BOX = {

@@ -12,14 +12,13 @@ from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin
 from edge.twin.warm_start import PastColumns, state_now
 from training.data.pairs import stretches, transitions
-from training.models import ham, ham_guarded
-from training.models.ham import HamNet
-from training.models.ham_guarded import GuardedHamNet
+from training.models import ham
+from training.models.ham import GuardedHamNet, HamNet
 from training.models.twin_step import TwinStep
 from training.models.weights import load_network, save_network
 
 QUICK = ham.HamSettings(epochs=2)
-GUARDED_QUICK = ham_guarded.GuardedHamSettings(epochs=2)
+GUARDED_QUICK = ham.GuardedHamSettings(epochs=2)
 
 
 def tensors(*values: object) -> list[torch.Tensor]:
@@ -34,7 +33,7 @@ def bare_ham() -> HamNet:
 
 @pytest.fixture(scope="module")
 def guarded() -> GuardedHamNet:
-    network, _ = ham_guarded.train([box_run(1), box_run(2)], BOX, 0, GUARDED_QUICK)
+    network, _ = ham.train_guarded([box_run(1), box_run(2)], BOX, 0, GUARDED_QUICK)
     return network
 
 

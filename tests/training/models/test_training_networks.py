@@ -14,21 +14,19 @@ from training_runs import BOX, box_run
 
 from edge.core.errors import DataError
 from training.data.pairs import split_all, windows
-from training.models import ham, ham_guarded, pbm
+from training.models import ham, pbm
 from training.models.fit_network import EarlyStopping, Pairs, fit
-from training.models.lstm import LstmNet
-from training.models.networks import NETWORKS
 from training.models.predictors import WindowPredictor
 from training.models.rollout import errors, free_run
-from training.models.weights import load_network
-from training.models.window_network import WINDOW, WindowNet, WindowSettings, train
+from training.models.weights import NETWORKS, load_network
+from training.models.window_network import WINDOW, LstmNet, WindowNet, WindowSettings, train
 from training.models.window_network import train as train_window
 from training.rl import checkpoint
-from training.rl.weights import load_q_network
+from training.rl.saved_policy import load_q_network
 
 TINY_LSTM = WindowSettings(epochs=2, hidden=4)
 TINY_HAM = ham.HamSettings(epochs=2, hidden=4)
-TINY_GUARDED = ham_guarded.GuardedHamSettings(epochs=2, hidden=4)
+TINY_GUARDED = ham.GuardedHamSettings(epochs=2, hidden=4)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +82,7 @@ def train_ham(seed: int) -> nn.Module:
 
 
 def train_guarded(seed: int) -> nn.Module:
-    return ham_guarded.train([box_run(1)], BOX, seed, TINY_GUARDED)[0]
+    return ham.train_guarded([box_run(1)], BOX, seed, TINY_GUARDED)[0]
 
 
 @pytest.mark.parametrize("train", [train_ham, train_guarded])
@@ -97,7 +95,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(train) -> 
 @pytest.mark.parametrize("train", [
     lambda runs: train_window(LstmNet, runs, 0, TINY_LSTM),
     lambda runs: ham.train(runs, 0, TINY_HAM),
-    lambda runs: ham_guarded.train(runs, BOX, 0, TINY_GUARDED),
+    lambda runs: ham.train_guarded(runs, BOX, 0, TINY_GUARDED),
     lambda runs: pbm.train(runs, pbm.FITTED),
 ])  # fmt: skip
 def test_nothing_is_fitted_on_a_test_run(train) -> None:

@@ -17,16 +17,14 @@ from edge.formats.run_file import RecordedRun, inside_names
 from edge.models.pbm import Pbm, read_twin
 from edge.twin.model import BoxTwin
 from training import __main__
-from training.models import ham, ham_guarded, study
-from training.models.lstm import LstmNet
-from training.models.networks import NETWORKS
+from training.models import ham, study
 from training.models.predictors import GuardedHamPredictor, HamPredictor, WindowPredictor
 from training.models.registry import ARX_FILE, MODELS, NETWORK_FILE, TWIN_FILE
 from training.models.rollout import START_ROWS, errors, free_run, one_step
 from training.models.study import TrainedModel, TrainingJob
 from training.models.summary import best_seed, records, table
-from training.models.weights import load_network, save_network
-from training.models.window_network import WindowSettings
+from training.models.weights import NETWORKS, load_network, save_network
+from training.models.window_network import LstmNet, WindowSettings
 from training.models.window_network import train as train_window
 
 
@@ -102,7 +100,7 @@ def networks() -> dict[str, Any]:
         **{name: train_window(NETWORKS[name], runs, 0, tiny)[0] for name in NETWORKS},
         "lstm_increment": train_window(LstmNet, runs, 0, replace(tiny, predicts_increment=True))[0],
         "ham": ham.train(runs, 0, ham.HamSettings(epochs=1, hidden=4))[0],
-        "ham_guarded": ham_guarded.train(runs, BOX, 0, ham_guarded.GuardedHamSettings(epochs=1))[0],
+        "ham_guarded": ham.train_guarded(runs, BOX, 0, ham.GuardedHamSettings(epochs=1))[0],
     }
 
 

@@ -18,10 +18,9 @@ from training.rl.algorithms.registry import ALGORITHMS, DQN
 from training.rl.episodes import recorded_observations
 from training.rl.parity import main as tell_parity
 from training.rl.parity import parity
-from training.rl.saved_policy import POLICY_FILE, WEIGHTS_FILE, best_folder
+from training.rl.saved_policy import POLICY_FILE, WEIGHTS_FILE, best_folder, load_q_network, save_q_network
 from training.rl.settings import DqnSettings
 from training.rl.study import PolicyJob, export, graph_of, greedy, play, study, world_of
-from training.rl.weights import load_q_network, save_q_network
 
 POLICIES = Path(__file__).parents[3] / "training" / "results" / "policies"
 SMALL = DqnSettings(steps=480, hidden=(16,), batch=16, learning_starts=64, target_every=64)

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 
 from edge.core.predictor import Floats
 from edge.formats.run_file import RecordedRun
+from training.evaluate.report import LABELS
 from training.evaluate.resources import ModelCost
 from training.evaluate.scores import TrainingScore, by_seed, maes
 from training.models.rollout import START_ROWS
 from training.models.saved_training import OURS, PAPER
 from training.models.study import SCENARIOS, Regime
-from training.reports.report_tables import LABELS
 
 COLOURS = {
     "linear": "tab:blue",
@@ -59,7 +59,7 @@ def scenario_picture(run: RecordedRun, forecasts: Mapping[str, Sequence[Floats]]
     _steps(heater, minutes, run.columns["heater_duty"], "tab:red")
     heater.set_ylabel("heater duty")
     heater.set_xlabel("time [min]")
-    return _png(figure)
+    return png(figure)
 
 
 def bars_picture(scores: Sequence[TrainingScore], regime: Regime) -> bytes:
@@ -86,7 +86,7 @@ def bars_picture(scores: Sequence[TrainingScore], regime: Regime) -> bytes:
     axes.set_ylabel("free-run MAE [K], logarithmic")
     axes.set_title(f"{regime.capitalize()}: mean of the seeds, whiskers from best to worst seed")
     axes.legend(loc="upper right", fontsize="small")
-    return _png(figure)
+    return png(figure)
 
 
 def radar_picture(scores: Sequence[TrainingScore], costs: Sequence[ModelCost]) -> bytes:
@@ -126,7 +126,7 @@ def radar_picture(scores: Sequence[TrainingScore], costs: Sequence[ModelCost]) -
     axes.set_ylim(0.0, 1.05)
     axes.set_title("Inside is better; each axis logarithmic from the best to the worst of these")
     figure.legend(loc="outside lower center", ncols=len(shown), fontsize="small")
-    return _png(figure)
+    return png(figure)
 
 
 def radar_radii(values: Sequence[float]) -> Floats:
@@ -160,7 +160,8 @@ def _steps(axes: Axes, minutes: Floats, values: Floats, colour: str) -> None:
     axes.set_ylim(-0.05, 1.08)
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """As all pictures of a comparison are drawn."""
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=DPI, pil_kwargs={"optimize": True})
     return out.getvalue()
