@@ -26,11 +26,11 @@ from edge.twin.fit import TwinFit, fit_twin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from training.data.datasets import Split
-from training.evaluate.report import spread
 from training.models import ham
 from training.models.fit_network import make_deterministic
 from training.models.predictors import GuardedHamPredictor, WindowPredictor
 from training.models.rollout import START_ROWS
+from training.models.summary import spread
 from training.models.window_network import LstmNet, WindowSettings, train_on
 
 STEP_S = 10.0

@@ -35,11 +35,12 @@ from training.evaluate.paper_case_models import (
     forecasts,
     improved_twin,
 )
-from training.evaluate.report import LABELS, spread
+from training.evaluate.report import LABELS
 from training.evaluate.scores import TrainingScore
 from training.models.fit_network import make_deterministic
 from training.models.rollout import RolloutErrors
 from training.models.study import SCENARIOS, Regime, versions
+from training.models.summary import spread
 
 Twins = Mapping[Regime, ImprovedTwin]
 NAMES: Mapping[str, str] = {

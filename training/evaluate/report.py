@@ -17,6 +17,7 @@ from training.evaluate.resources import ModelCost
 from training.evaluate.scores import SwappedModel, TrainingScore, orders
 from training.models.saved_training import OURS, PAPER, UNGUARDED
 from training.models.study import SCENARIOS, Regime
+from training.models.summary import spread
 
 LABELS = {
     "linear": "Linear",
@@ -89,12 +90,6 @@ def costs_table(costs: Sequence[ModelCost]) -> Table:
         for cost in costs
     ]
     return Table("Cost", heads, tuple(rows), _COSTS_NOTE)
-
-
-def spread(values: Floats) -> str:
-    """Mean, and sd over the seeds where there are several."""
-    mean = f"{np.mean(values):.3f}"
-    return mean if len(values) < 2 else f"{mean} ± {np.std(values, ddof=1):.3f}"
 
 
 def _errors(scores: Sequence[TrainingScore], title: str, value: Callable[[TrainingScore], float]) -> Table:

@@ -68,12 +68,6 @@ def _always(what: Sending) -> Behaviour:
     return lambda body, seed: what
 
 
-def _no_response_format(body: Body, seed: int) -> Sending:
-    return (
-        refusal(400, "response_format is not supported") if "response_format" in body else _honest(body, seed)
-    )
-
-
 def _unfaithful(body: Body, seed: int) -> Sending:
     """Cites a simulation that it did ask for, with other controls than it had."""
     turn = reply(body, seed)
@@ -144,6 +138,5 @@ BEHAVIOURS: dict[str, Behaviour] = {
     "unfaithful": _unfaithful,
     "boasting": _boasting,
     "obeys_planted": _turn(_obeying),
-    "no_response_format": _no_response_format,
     "endless_reply": _always(Sending(b" " * (3 << 20))),
 }

@@ -2,12 +2,14 @@
 
 import json
 import math
-import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from edge.core.errors import DataError
+from edge.core.predictor import Floats
 from edge.formats.table import Table
 from training.models.study import RESULT_FILE, SCENARIOS, Regime
 
@@ -48,13 +50,13 @@ def _cells(found: Sequence[Record], name: str, regime: Regime) -> Iterator[str]:
         [one["scenarios"][str(number)]["free_run"]["mae_k"] for number in SCENARIOS[regime]] for one in mine
     ]
     for column in zip(*maes, strict=True):
-        yield _spread(column)
-    yield _spread([statistics.fmean(row) for row in maes])
+        yield spread(column)
+    yield spread([float(np.mean(row)) for row in maes])
 
 
-def _spread(values: Sequence[float]) -> str:
-    if not values:
+def spread(values: Sequence[float] | Floats) -> str:
+    """Mean, and sd over the seeds where there are several; a dash for no value."""
+    if not len(values):
         return "-"
-    if len(values) == 1:
-        return f"{values[0]:.3f}"
-    return f"{statistics.fmean(values):.3f} ± {statistics.stdev(values):.3f}"
+    mean = f"{np.mean(values):.3f}"
+    return mean if len(values) < 2 else f"{mean} ± {np.std(values, ddof=1):.3f}"

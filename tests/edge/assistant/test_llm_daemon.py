@@ -321,10 +321,3 @@ def test_a_budget_that_is_spent_sends_nothing_more() -> None:
         12 - sent
     )
     assert "over_budget: " in ended.texts("controller.error")[0]
-
-
-def test_a_server_without_response_format_serves_all_the_same() -> None:
-    with StandIn("no_response_format") as stand_in:
-        ended = run("LLM-Te0", stand_in.url, 4)
-        assert len(stand_in.requests) == 7  # refused in three forms, then known
-    assert {record.decision.controller for record in ended.records} == {"LLM-Te0"}
