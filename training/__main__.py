@@ -22,7 +22,6 @@ RESULTS = Path("training/results")
 TRAINED = RESULTS / "trained"
 POLICIES = RESULTS / "policies"
 IMAGES = Path("docs/images")
-BOX = Path("../shared/data/heated_box")
 SEEDS = (0, 1, 2, 3, 4)
 REGIMES = ("interpolation", "extrapolation")
 COMMANDS = {
@@ -71,10 +70,6 @@ def _parser() -> argparse.ArgumentParser:
         commands.add_parser("paper-case", help=_paper_case.__doc__, description=_paper_case.__doc__)
     )
     rl.add_commands(commands)
-    box = commands.add_parser("heated-box", help=_heated_box.__doc__, description=_heated_box.__doc__)
-    box.add_argument("--data", type=Path, default=BOX, help=f"folder of the run files (usual: {BOX})")
-    box.add_argument("--results", type=Path, default=RESULTS, help=f"where the table goes (usual: {RESULTS})")
-    box.set_defaults(run=_heated_box)
     return parser
 
 
@@ -181,13 +176,6 @@ def _paper_case(arguments: argparse.Namespace) -> int:
     from training.evaluate.paper_case import run
 
     return run(arguments)
-
-
-def _heated_box(arguments: argparse.Namespace) -> int:
-    """the same kinds of models on a real box: measured runs from elsewhere"""
-    from training.evaluate.heated_box import run
-
-    return run(arguments.data, arguments.results)
 
 
 def _compare(arguments: argparse.Namespace) -> int:
