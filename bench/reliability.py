@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.foreign.score import bins, calibration_error, match_names
-from bench.foreign.wilson import share
+from bench.header import share
 from bench.real_truth.__main__ import folder_name, is_true
 from bench.real_truth.logs import LOGS
 

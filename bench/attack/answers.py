@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.attack import nasty
-from bench.attack.part import TrialResult, main_of
+from bench.attack.part import TrialResult, evil_document, evil_text, evil_value, main_of
 from edge.board.virtual_rig import settings_in
 from edge.config import loading as config
 from edge.core.messages import TickRecord
@@ -56,28 +55,26 @@ class EvilServer(StandIn):
         answer = {"heater_duty": 0.5, "fan_on": False, "rationale": f"Because. {KEY}"}
         message: dict[str, Any] = {
             "role": "assistant",
-            "content": nasty.document(rng, answer).decode(errors="surrogateescape"),
+            "content": evil_document(rng, answer).decode(errors="surrogateescape"),
         }
         if kind == 1:
             message = {
                 "role": "assistant",
                 "content": None,
-                "refusal": f"{nasty.text(rng)} {rng.choice(KEYS)}",
+                "refusal": f"{evil_text(rng)} {rng.choice(KEYS)}",
             }
         elif kind == 2:
-            arguments = nasty.document(
-                rng, {"query": "SELECT 1", "heater_duty": [1] * 10, "fan_on": [0] * 10}
-            )
-            call = {"name": str(rng.choice(["query", "simulate", "sql", nasty.text(rng)[:50]])),
+            arguments = evil_document(rng, {"query": "SELECT 1", "heater_duty": [1] * 10, "fan_on": [0] * 10})
+            call = {"name": str(rng.choice(["query", "simulate", "sql", evil_text(rng)[:50]])),
                     "arguments": arguments.decode(errors="surrogateescape")}  # fmt: skip
-            message |= {"tool_calls": [{"id": nasty.text(rng)[:60], "type": "function", "function": call}]}
+            message |= {"tool_calls": [{"id": evil_text(rng)[:60], "type": "function", "function": call}]}
         elif kind == 3:
-            message["content"] = json.dumps(answer | {"rationale": nasty.text(rng) + str(rng.choice(KEYS))})
+            message["content"] = json.dumps(answer | {"rationale": evil_text(rng) + str(rng.choice(KEYS))})
         reply = {
             "choices": [{"index": 0, "message": message, "finish_reason": "stop"}],
-            "usage": {"prompt_tokens": nasty.value(rng, 3), "completion_tokens": 1},
+            "usage": {"prompt_tokens": evil_value(rng, 3), "completion_tokens": 1},
         }
-        raw = nasty.document(rng, reply) if kind == 4 else json.dumps(reply).encode()
+        raw = evil_document(rng, reply) if kind == 4 else json.dumps(reply).encode()
         headers = {"Retry-After": str(rng.choice(["1e9", "nan", "-1", KEY]))} if rng.random() < 0.2 else {}
         return Sending(raw, int(rng.choice([200, 200, 200, 200, 500, 429, 302, 204])), headers)
 

@@ -24,8 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.attack import nasty
-from bench.attack.part import TrialResult, main_of
+from bench.attack.part import TrialResult, evil_document, evil_raw, evil_text, main_of
 from edge import __main__ as greenhouse
 from edge.bundle.archive import pack
 from edge.bundle.store import PACKAGED_FOLDER
@@ -105,7 +104,7 @@ def _csv(rng: np.random.Generator, content: bytes) -> bytes:
         cells[int(rng.integers(len(cells)))] = _one(rng, CELLS)
         lines[row] = ",".join(cells)
     elif kind == 3:
-        lines.insert(0, f"# {_one(rng, FACTS)}: {nasty.text(rng)}")
+        lines.insert(0, f"# {_one(rng, FACTS)}: {evil_text(rng)}")
     elif kind == 4:
         lines[row] = _one(rng, (",".join("abc" for _ in range(9000)), lines[row] * 2, "#", "x" * HUGE))
     elif kind == 5:
@@ -139,7 +138,7 @@ def _one(rng: np.random.Generator, options: Sequence[str]) -> str:
 
 
 def _json(rng: np.random.Generator, content: bytes) -> bytes:
-    return nasty.document(rng, json.loads(content))
+    return evil_document(rng, json.loads(content))
 
 
 def _zip(rng: np.random.Generator, content: bytes) -> bytes:
@@ -350,7 +349,7 @@ def _place(rng: np.random.Generator, path: Path, kind: InputKind) -> str:
         os.truncate(path, 5 << 30)
         return "5 GB of zeros"
     if special == 5:
-        path.write_bytes(nasty.raw(rng))
+        path.write_bytes(evil_raw(rng))
         return "any bytes"
     path.write_bytes(kind.damage(rng, kind.content()))
     return "a damaged file"

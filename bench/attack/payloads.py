@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.attack import nasty
-from bench.attack.part import TrialResult, main_of
+from bench.attack.part import TrialResult, evil_document, evil_raw, evil_text, main_of
 from edge.mqtt.commands import COMMANDS
 from tests.support.broker import Broker, Listener, wait_for
 from tests.support.daemon_process import RIG, DaemonProcess
@@ -67,11 +66,11 @@ def _message(rng: np.random.Generator) -> tuple[str, bytes]:
     topic = str(rng.choice(TOPICS))
     if rng.random() < 0.1:
         # A broker closes the line of a client whose topic it finds malformed: only what it lets through.
-        topic = "".join(each for each in nasty.text(rng)[:40] if each.isalnum() and ord(each) < 0xD800) or "x"
+        topic = "".join(each for each in evil_text(rng)[:40] if each.isalnum() and ord(each) < 0xD800) or "x"
     kind = rng.random()
     if kind < 0.3:
         return topic, str(rng.choice(WORDS)).encode()
-    return topic, nasty.document(rng, HONEST) if kind < 0.7 else nasty.raw(rng)
+    return topic, evil_document(rng, HONEST) if kind < 0.7 else evil_raw(rng)
 
 
 def _look(daemon: DaemonProcess, before: int) -> list[str]:

@@ -20,11 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.boxes.box import Box
-from bench.boxes.clairvoyant import Clairvoyant
-from bench.boxes.draw import LOTS, draw_box
+from bench.boxes.clairvoyant import Clairvoyant, tune_pid
+from bench.boxes.draw import LOTS, draw_box, rise_after_k, scaled_reference
 from bench.boxes.facts import BoxFacts
-from bench.boxes.reach import rise_after_k, scaled_reference
-from bench.boxes.tuned_pid import tune_pid
 from bench.header import header
 from edge.app.commission import Commissioned, learn
 from edge.app.step_test_record import record, test_settings

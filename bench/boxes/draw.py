@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.boxes.facts import AirSensor, BoxFacts, HeaterKind, Layer, OtherSensor, RoomFacts
 from bench.boxes.lots import (
@@ -26,8 +27,90 @@ from bench.boxes.lots import (
     Hand,
     deal_lot,
 )
+from bench.boxes.physics import BoxPhysics
 from bench.boxes.rates import ZERO_C, saturated_g_m3
-from bench.boxes.reach import reach, rise_k
+
+Floats = NDArray[np.float64]
+REFERENCE_SHARES = (
+    0.15,
+    0.80,
+)  # of the rise, so that power is left to follow it
+HOTTEST_C = 38.0  # 2 K below temp_air_max_c, at which the daemon ends all heating
+QUICK, NEARLY = 1.0 - np.exp(-1.0), 0.95  # shares of the rise
+SALT = 7
+HEATER, FLOW, SHEET, SOIL = (0.90, 1.05), (0.85, 1.15), (0.93, 1.07), (0.8, 1.25)
+SUN = 0.3, 1.5  # times that of the design: each box has a window of its own
+GAPS, WATER, LAG = (0.5, 2.0), (0.6, 1.7), (0.8, 1.25)
+BIAS_K, SHARE = 0.5, 0.1  # of the air's sensor; by which its place differs
+
+
+@dataclass(frozen=True, slots=True)
+class Still:
+    """A room that stays as it is, without sun."""
+
+    room_c: float
+
+    def at(self, time_s: float) -> tuple[float, float, float]:
+        """Return the room [°C], no sun, and nominal mains."""
+        return self.room_c, 0.0, 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Air of a box at rest in its mean room, and the way there at full power."""
+
+    zero_c: float  # without heat
+    full_c: float  # at full power
+    fan_c: float  # at full power while the fan blows
+    quick_s: float  # until 63 % of the rise
+    slow_s: float  # until 95 %
+
+    @property
+    def rise_k(self) -> float:
+        """By which full power warms the air."""
+        return self.full_c - self.zero_c
+
+
+@lru_cache(maxsize=64)
+def reach(facts: BoxFacts) -> Reach:
+    """Return the reach of a box in a still room at its mean temperature."""
+    room_c = facts.room.mean_c
+    physics = BoxPhysics(facts, Still(room_c))
+    zero_c, fan_c = (
+        float(physics.air_c(physics.rest(room_c, *inputs))[0]) for inputs in ((0.0, 0.0), (1.0, 1.0))
+    )
+    times, states = physics.warm_up(room_c, 1.0)
+    air = physics.air_c(states)
+    rise = air - air[0]
+    quick_s, slow_s = (float(times[np.argmax(rise >= share * rise[-1])]) for share in (QUICK, NEARLY))
+    return Reach(zero_c, float(air[-1]), fan_c, quick_s, slow_s)
+
+
+def rise_k(facts: BoxFacts) -> float:
+    """Return by how much full power without the fan warms the air over the room."""
+    room_c = facts.room.mean_c
+    physics = BoxPhysics(facts, Still(room_c))
+    return float(physics.air_c(physics.rest(room_c, 1.0))[0] - room_c)
+
+
+def rise_after_k(facts: BoxFacts, hours: float) -> float:
+    """Return by how much full power without the fan warms the air within hours, from rest [K]."""
+    physics = BoxPhysics(facts, Still(facts.room.mean_c))
+    times, states = physics.warm_up(facts.room.mean_c, 1.0)
+    air = physics.air_c(states)
+    return float(np.interp(3600.0 * hours, times, air - air[0]))
+
+
+def scaled_reference(reference_k01: Floats, facts: BoxFacts) -> Floats:
+    """Return a course 0..1 [N] as a reference that this box can follow [°C].
+
+    0 becomes 15 % of the box's rise over its mean room, and 1 becomes 80 %, but at most HOTTEST_C.
+    """
+    low, high = REFERENCE_SHARES
+    high = min(high, (HOTTEST_C - facts.room.mean_c) / reach(facts).rise_k)
+    share = low + (high - low) * np.asarray(reference_k01, dtype=np.float64)
+    return np.asarray(facts.room.mean_c + share * reach(facts).rise_k)
+
 
 __all__ = ["DEVELOPMENT", "LOTS", "SCORED", "BoxFacts", "draw_box"]
 
@@ -229,6 +312,51 @@ def _row(facts: BoxFacts) -> str:
         f"{facts.heater_w:3.0f} {fan:8s} {far.rise_k:4.1f} {far.fan_c - far.zero_c:4.1f} "
         f"{far.quick_s / 60.0:4.0f} {far.slow_s / 3600.0:5.1f} {facts.room.mean_c:4.0f} "
         f"{'both' if len(absent) == 2 else ''.join(absent)}".rstrip()
+    )
+
+
+def sibling(design: BoxFacts, number: int) -> BoxFacts:
+    """Build a design once more, in a room of its own. number : of the box, 1 or more"""
+    seed = 1000 * design.seed + number
+    hand = Hand(seed)
+    hand.rng = np.random.default_rng([seed, SALT])
+    heat = hand.even(*HEATER)
+    room = draw_room(hand)
+    sun_w_m2 = design.room.sun_peak_w_m2 * hand.even(*SUN)
+    return replace(
+        design,
+        seed=seed,
+        room=replace(room, sun_peak_w_m2=sun_w_m2),
+        wall=_layers(design.wall, hand),
+        floor=_layers(design.floor, hand),
+        heater_w=design.heater_w * heat,
+        element_blown_w_k=design.element_blown_w_k * heat,
+        fan_m3_s=design.fan_m3_s * hand.even(*FLOW),
+        leak_m2=design.leak_m2 * hand.log(*GAPS),
+        contents_j_k=design.contents_j_k * hand.log(*WATER),
+        wet_share=design.wet_share * hand.even(0.5, 1.2),
+        draught_w_m2_k=hand.even(0.3, 2.5),
+        mixing_m_s=design.mixing_m_s * hand.log(0.8, 1.25),
+        air=_same_air_sensor(design.air, hand),
+    )
+
+
+def _layers(layers: tuple[Layer, ...], hand: Hand) -> tuple[Layer, ...]:
+    return tuple(
+        replace(
+            layer, thickness_m=layer.thickness_m * hand.even(*(SOIL if layer.material == "soil" else SHEET))
+        )
+        for layer in layers
+    )
+
+
+def _same_air_sensor(sensor: AirSensor, hand: Hand) -> AirSensor:
+    return replace(
+        sensor,
+        bias_k=hand.even(-BIAS_K, BIAS_K),
+        lag_s=sensor.lag_s * hand.even(*LAG),
+        high_share=float(np.clip(sensor.high_share + hand.even(-SHARE, SHARE), 0.0, 1.0)),
+        wall_share=float(np.clip(sensor.wall_share + hand.even(-0.5 * SHARE, 0.5 * SHARE), 0.0, 0.3)),
     )
 
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.boxes.facts import BoxFacts
-from bench.boxes.modes import Modes, product
-from bench.boxes.rates import ZERO_C, BoxRates, HeldInputs, saturated_g_m3
+from bench.boxes.rates import ZERO_C, BoxRates, HeldInputs, Modes, product, saturated_g_m3
 
 Floats = NDArray[np.float64]
 Inputs = float | Floats  # one number for all states, or [M]

@@ -12,11 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.boxes.disturbances import BoxDisturbances
-from bench.boxes.draw import DEVELOPMENT, draw_box
+from bench.boxes.box import BoxDisturbances
+from bench.boxes.draw import DEVELOPMENT, draw_box, scaled_reference, sibling
 from bench.boxes.facts import BoxFacts
-from bench.boxes.reach import scaled_reference
-from bench.boxes.siblings import sibling
 from bench.fleet_rollout.kind_model import KindModel, heat_for, learn_model
 from bench.fleet_rollout.linear_boxes import STEP_S, LinearBox, LinearFleet, linear_box
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from bench.boxes.draw import Still
 from bench.boxes.facts import BoxFacts
 from bench.boxes.physics import BoxPhysics
 from bench.boxes.rates import BoxRates
-from bench.boxes.reach import Still
 
 Floats = NDArray[np.float64]
 STEP_S = 60.0

@@ -20,7 +20,7 @@ from bench.foreign.cases import ALIASES, PLACES
 from bench.foreign.greenhouse import KINDS as GREENHOUSE
 from bench.foreign.make import Task, add_place, name_of, tasks_of
 from bench.foreign.run_cases import LIMIT_S, OURS, PYSINDY, SolverTask, is_done, run_all
-from bench.foreign.wilson import Share, share
+from bench.header import Share, share
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.report.wording import beaten
 from edge.formats.table import Table

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.boxes.draw import draw_box
+from bench.boxes.draw import Still, draw_box, sibling
 from bench.boxes.physics import BoxPhysics
-from bench.boxes.reach import Still
-from bench.boxes.siblings import sibling
 from bench.fleet_rollout.kind_model import heat_for, learn_model
 from bench.fleet_rollout.linear_boxes import LinearFleet, linear_box
 

@@ -13,7 +13,7 @@ from bench.foreign.box import HOT_ELEMENT_K, BoxWeather, ForeignBox, drive
 from bench.foreign.cases import ALIASES, HIDEABLE, KINDS, OUTSIDE, ForeignCase, seed_of
 from bench.foreign.make import make_case, name_of, tasks_of, write_case
 from bench.foreign.score import calibration_error, figures, is_alike, score, text
-from bench.foreign.wilson import Share
+from bench.header import Share
 from edge.formats.run_file import read_run
 from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import read_twin_file

@@ -5,9 +5,8 @@ import pytest
 
 from bench.boxes.__main__ import box_reference, summary, tuning_courses
 from bench.boxes.box import Box
-from bench.boxes.clairvoyant import tangent
+from bench.boxes.clairvoyant import _cost, simc, tangent, tune_pid
 from bench.boxes.draw import draw_box
-from bench.boxes.tuned_pid import _cost, simc, tune_pid
 from edge.controllers.twin_plan.linear_step import linear_step
 from edge.twin.model import BoxTwin
 from edge.twin.warm_start import at_rest

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.boxes.disturbances import BoxDisturbances
+from bench.boxes.box import BoxDisturbances
 from bench.boxes.draw import LOTS, draw_box
 
 DAYS = 300.0 * np.arange(2 * 288)  # two days [s]

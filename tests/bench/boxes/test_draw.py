@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from bench.boxes import draw
-from bench.boxes.draw import DEVELOPMENT, LOTS, SCORED, BoxFacts, draw_box, table
-from bench.boxes.reach import reach, scaled_reference
+from bench.boxes.draw import DEVELOPMENT, LOTS, SCORED, BoxFacts, draw_box, reach, scaled_reference, table
 
 ALL = (*DEVELOPMENT, *SCORED)
 KNOWN, FRESH = LOTS[0], LOTS[-1]
 
 # They drive the boxes by the daemon and its controllers; what a box is knows nothing of them.
-DRIVERS = {"__main__.py", "clairvoyant.py", "pulses.py", "tuned_pid.py"}
+DRIVERS = {"__main__.py", "clairvoyant.py"}
 
 
 def boxes(seeds: tuple[int, ...]) -> list[BoxFacts]:
@@ -23,7 +22,7 @@ def boxes(seeds: tuple[int, ...]) -> list[BoxFacts]:
 
 def test_the_boxes_use_nothing_of_the_projects_models() -> None:
     files = sorted(path for path in Path(draw.__file__).parent.glob("*.py") if path.name not in DRIVERS)
-    assert {"draw.py", "physics.py", "box.py", "reach.py"} <= {path.name for path in files}
+    assert {"draw.py", "physics.py", "box.py"} <= {path.name for path in files}
     allowed = {
         "numpy",
         "math",

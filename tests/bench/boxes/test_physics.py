@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from bench.boxes.disturbances import BoxDisturbances
-from bench.boxes.draw import draw_box
+from bench.boxes.box import BoxDisturbances
+from bench.boxes.draw import Still, draw_box, reach
 from bench.boxes.facts import BoxFacts
 from bench.boxes.physics import BoxPhysics
-from bench.boxes.reach import Still, reach
 
 LIGHT, WET, HEAVY, MAT = 4, 3, 14, 10  # seeds: a fast box with a fan that stirs, soil, slow, heat from below
 AIRED = 106  # its fan exchanges air

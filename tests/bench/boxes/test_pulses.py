@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.boxes.pulses import WINDOW_S, relay_share
+from bench.boxes.clairvoyant import WINDOW_S, relay_share
 from firmware_protocol.virtual_board.board_config import PWM_SLOTS
 from firmware_protocol.virtual_board.board_outputs import SlowPwm
 
