@@ -1,4 +1,4 @@
-"""`greenhouse fleet VERB`: many rigs. Each verb has a file of its own, imported only when it is called."""
+"""`greenhouse fleet VERB`: many rigs. The file of a verb is imported only when it is called."""
 
 import argparse
 import importlib
@@ -9,21 +9,21 @@ from types import ModuleType
 from edge.core.errors import RequestError
 
 HELP = "many rigs: one store, one page, bundles in waves"
-VERBS = {  # verb -> module with `add_arguments` and `run(settings, arguments)`, and its help
-    "up": ("fleet.commands.up", "start a fleet on this machine: authority, engines, page"),
-    "down": ("fleet.commands.down", "end it; its data stays unless it is erased"),
-    "rig": ("fleet.commands.rig", "add, list or remove the rigs that may come in"),
-    "site": ("fleet.commands.site", "add, list or remove sites, whose own broker speaks for their rigs"),
-    "user": ("fleet.commands.user", "add, list or remove people who may log in"),
-    "rigs": ("fleet.commands.rigs", "list the rigs that were ever heard"),
-    "changes": ("fleet.commands.changes", "tell which boxes changed, and what is missing in each"),
+VERBS = {  # verb -> module with `add_VERB_arguments` and `run_VERB(settings, arguments)`, and its help
+    "up": ("fleet.commands.machine", "start a fleet on this machine: authority, engines, page"),
+    "down": ("fleet.commands.machine", "end it; its data stays unless it is erased"),
+    "rig": ("fleet.commands.members", "add, list or remove the rigs that may come in"),
+    "site": ("fleet.commands.members", "add, list or remove sites, whose own broker speaks for their rigs"),
+    "user": ("fleet.commands.members", "add, list or remove people who may log in"),
+    "rigs": ("fleet.commands.lists", "list the rigs that were ever heard"),
+    "changes": ("fleet.commands.lists", "tell which boxes changed, and what is missing in each"),
     "rollout": ("fleet.commands.rollout", "spread a bundle in waves that are judged and rolled back"),
     "work": ("fleet.commands.work", "do the jobs of a night: diagnose the rigs whose twins disagree"),
     "ingest": ("fleet.commands.ingest", "store what rigs send, and ask for what is missing"),
     "serve": ("fleet.commands.serve", "serve the page and its API"),
-    "rules": ("fleet.commands.rules", "print the rules of vmalert"),
+    "rules": ("fleet.commands.lists", "print the rules of vmalert"),
 }
-OF_A_MACHINE = ("up", "down", "rig", "site")  # they make what the settings need: `run(arguments)`
+OF_A_MACHINE = ("up", "down", "rig", "site")  # they make what the settings need: `run_VERB(arguments)`
 SETTINGS = Path("/etc/greenhouse-fleet/fleet.yaml")
 
 
@@ -37,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             verb.add_argument("--settings", type=Path, default=SETTINGS, help=f"usual: {SETTINGS}")
         if name == called:
             module = _import(module_name)
-            module.add_arguments(verb)
-            verb.set_defaults(run_verb=module.run)
+            getattr(module, f"add_{name}_arguments")(verb)
+            verb.set_defaults(run_verb=getattr(module, f"run_{name}"))
 
 
 def _import(module_name: str) -> ModuleType:

@@ -10,12 +10,12 @@ from fleet.ingest.loop import Ingest
 from fleet.settings import FleetSettings
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_ingest_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the journal, by which it is measured."""
     parser.add_argument("--journal", type=Path, help="append a JSON line of times for each batch")
 
 
-def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
+def run_ingest(settings: FleetSettings, arguments: argparse.Namespace) -> int:
     """Run until SIGTERM or SIGINT; a database that goes away meanwhile is waited for.
 
     Errors : ConfigError; DataError for a database that cannot be opened at the start

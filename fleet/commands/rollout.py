@@ -16,7 +16,7 @@ from fleet.database.bundles import BundleRollout
 from fleet.database.lease import FleetLease, LeaseLost
 from fleet.rollout.archives import add_archive
 from fleet.rollout.begin import begin, go_on_by_person, rigs_of, stop_by_person
-from fleet.rollout.costs import costs_from
+from fleet.rollout.blocks import costs_from
 from fleet.rollout.overview import newest
 from fleet.rollout.rig_line import MqttRigLine
 from fleet.rollout.runner import RolloutRunner
@@ -33,7 +33,7 @@ ACTIONS = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_rollout_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the actions."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     action = {
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     action["status"].add_argument("--rigs", action="store_true", help="a line for each rig too")
 
 
-def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
+def run_rollout(settings: FleetSettings, arguments: argparse.Namespace) -> int:
     """Carry it out. Errors: GreenhouseError"""
     engine, own = open_database(settings.database), settings.rollout
     match arguments.action:

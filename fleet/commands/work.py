@@ -18,7 +18,7 @@ from fleet.settings import FleetSettings
 WORK = "the jobs of a night"  # of the lease
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_work_arguments(parser: argparse.ArgumentParser) -> None:
     """Add when and where the jobs run."""
     parser.add_argument(
         "--at", type=_time_of_day, metavar="HH:MM", help="each day at this time (usual: once, now)"
@@ -34,7 +34,7 @@ def _time_of_day(text: str) -> tuple[int, int]:
     return found.hour, found.minute
 
 
-def run(settings: FleetSettings, arguments: argparse.Namespace) -> int:
+def run_work(settings: FleetSettings, arguments: argparse.Namespace) -> int:
     """Do the jobs and say what came of each. Errors: DataError, SweepError"""
     if arguments.at is None:
         _work(settings, arguments.workers, arguments.dask)

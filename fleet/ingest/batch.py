@@ -7,11 +7,9 @@ from typing import Any
 from edge.core.plain_text import plain, quote
 from fleet.ingest.inbox import Message
 from fleet.ingest.ledger import RigLedger
-from fleet.ingest.refusal import Refused
-from fleet.ingest.spans import Span
-from fleet.ingest.state import parse_state
+from fleet.ingest.spans import Refused, Span
+from fleet.ingest.state import HeardTwin, parse_state, parse_twin
 from fleet.ingest.tick import PAYLOAD_MAX, Tick, parse_body, parse_tick
-from fleet.ingest.told import HeardTwin, parse_twin
 
 CLEARED = ("availability", "state", "twin")  # retained topics: without a payload the broker keeps none
 

@@ -12,8 +12,8 @@ from fleet.database.events import Refusal, RigEvent
 from fleet.database.rigs import AbsentSpan, FleetRig, StoredSpan
 from fleet.database.twins import ToldTwin
 from fleet.ingest.ledger import HistoryLedger, changed_spans
+from fleet.ingest.state import HeardTwin
 from fleet.ingest.tick import Tick
-from fleet.ingest.told import HeardTwin
 
 Histories = Mapping[str, HistoryLedger]
 Row = dict[str, Any]

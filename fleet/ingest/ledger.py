@@ -5,8 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from edge.core.messages import Severity
 from fleet.ingest.asks import Asks
-from fleet.ingest.refusal import Refused
-from fleet.ingest.spans import Span, Spans
+from fleet.ingest.spans import Refused, Span, Spans
 from fleet.ingest.tick import Tick, TickEvent
 
 JUMP_MAX = 1_000_000  # ticks; two years at one a minute, eleven days at one a second

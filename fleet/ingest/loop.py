@@ -9,7 +9,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from sqlalchemy import Engine
@@ -25,12 +25,16 @@ from fleet.ingest.batch import Batch, Times
 from fleet.ingest.books import Books
 from fleet.ingest.inbox import FleetInbox, Message
 from fleet.ingest.ledger import RigLedger
-from fleet.ingest.refusal import Refused
+from fleet.ingest.spans import Refused
 from fleet.ingest.writer import BatchReport, BatchWriter, RigRefusals
-from fleet.numbers.options import problem
 from fleet.numbers.victoria import Numbers, NumbersError
 from fleet.settings import FleetSettings
 
+DEDUP = "dedup.minScrapeInterval"
+DEDUP_VALUE = "1ms"  # removes samples of one series and time, and never a tick
+RETENTION = "retentionPeriod"
+DAYS = {"h": 1 / 24, "d": 1.0, "w": 7.0, "": 31.0, "y": 365.0}  # without a unit it means months of 31 days
+_PERIOD = re.compile(r"([0-9.]+)([hdwy]?)")
 WORK = "what rigs send"  # of the lease
 DAY_S = 86400.0
 RETRY_FIRST_S, RETRY_MAX_S = 0.5, 4.0
@@ -40,6 +44,23 @@ LOOK_SHARE = 0.05
 ASKS_MAX = 50  # rigs that send again at one time
 CHECK_S = 60.0  # how often VictoriaMetrics is asked whether it has dropped samples
 SAID_BURST, SAID_PER_S = 10, 0.1  # lines about refusals; the database counts all of them
+
+
+def problem(options: Mapping[str, str], retention_days: float) -> str:
+    """Return why an option is wrong, "" for none. retention_days : that the settings promise"""
+    dedup = options.get(DEDUP, "")
+    if dedup != DEDUP_VALUE:
+        return f"-{DEDUP}={dedup}: must be {DEDUP_VALUE}, or a tick that comes twice is in store twice"
+    kept_days = days(options.get(RETENTION, ""))
+    if kept_days < retention_days:
+        return f"-{RETENTION}: keeps {kept_days:g} days, but numbers.retention_days is {retention_days:g}"
+    return ""
+
+
+def days(period: str) -> float:
+    """Return a period as VictoriaMetrics writes it, 0 for one that is none [days]."""
+    found = _PERIOD.fullmatch(period)
+    return float(found[1]) * DAYS[found[2]] if found else 0.0
 
 
 class Ingest:

@@ -3,6 +3,8 @@
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 
+from edge.core.errors import GreenhouseError
+
 Span = tuple[int, int]  # first and last, both included
 
 
@@ -71,3 +73,15 @@ class Spans:
         begins = [first, *(number + 1 for number in self._last[low:high])]
         ends = [*(number - 1 for number in self._first[low:high]), last]
         return [(begin, end) for begin, end in zip(begins, ends, strict=True) if begin <= end]
+
+
+class Refused(GreenhouseError):
+    """Not taken in.
+
+    reason : one word of a few, by which refusals are counted; the text is for people
+    history_id, seq : of the tick, "" and 0 where the message did not say
+    """
+
+    def __init__(self, reason: str, text: str, history_id: str = "", seq: int = 0) -> None:
+        super().__init__(text)
+        self.reason, self.history_id, self.seq = reason, history_id, seq

@@ -1,10 +1,15 @@
-"""A rig's state as the database keeps it: the flat object of the topic `state`, checked."""
+"""Readers of what a rig says of itself: its state, and its twin as a file of a twin is read."""
 
+import re
+from dataclasses import dataclass
 from typing import Any
 
+from edge.bundle.manifest import FILE_NAME
+from edge.core.errors import DataError
 from edge.core.names import SIGNALS
 from edge.core.plain_text import plain, quote
-from fleet.ingest.refusal import Refused
+from edge.twin.twin_file import twin_of
+from fleet.ingest.spans import Refused
 from fleet.ingest.tick import SEQ_MAX, VALUE_MAX, parse_body
 
 KEYS_MAX = 200
@@ -32,3 +37,26 @@ def _value(key: str, value: Any) -> Any:
     if value is None or isinstance(value, int | float):
         return value
     raise Refused("value", f"state: {plain(key, 40)}: is not a number or a text")
+
+
+@dataclass(frozen=True, slots=True)
+class HeardTwin:
+    """The payload of the topic `twin`. document : of a twin file"""
+
+    bundle: str
+    document: dict[str, Any]
+
+
+def parse_twin(payload: bytes) -> HeardTwin | None:
+    """Return the twin, None for a rig that takes it back. Errors: Refused"""
+    if not payload:
+        return None
+    body = parse_body(payload)
+    bundle, document = body.get("bundle"), body.get("twin")
+    if not isinstance(bundle, str) or not re.fullmatch(FILE_NAME, bundle) or not isinstance(document, dict):
+        raise Refused("value", f"twin: {quote(bundle)} is no bundle's name, or there is no twin")
+    try:
+        twin_of(document)
+    except DataError as error:
+        raise Refused("value", f"twin: {plain(str(error))}") from None
+    return HeardTwin(bundle, document)

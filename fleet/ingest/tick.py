@@ -15,7 +15,7 @@ from edge.core.messages import EVENT_TEXT_MAX, ReadingQuality, Severity
 from edge.core.names import SIGNALS
 from edge.core.plain_text import plain, quote
 from edge.formats.reader import DocumentError, parse_json
-from fleet.ingest.refusal import Refused
+from fleet.ingest.spans import Refused
 from fleet.numbers.series import SEQ, Samples, head
 
 Note = Callable[[str], None]

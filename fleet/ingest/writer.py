@@ -8,7 +8,7 @@ from edge.core.plain_text import plain
 from fleet.ingest.batch import Batch
 from fleet.ingest.books import Books, Entry
 from fleet.ingest.ledger import RigLedger, RigPlan
-from fleet.ingest.refusal import Refused
+from fleet.ingest.spans import Refused
 from fleet.ingest.tick import Tick
 from fleet.numbers.series import lines
 from fleet.numbers.victoria import Numbers

@@ -1,5 +1,7 @@
 """Rigs come in and go: papers, rights at the broker, a row in the database."""
 
+import os
+import signal
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,8 +16,7 @@ from edge.core.errors import DataError, RequestError
 from edge.mqtt.telemetry import remove as remove_retained
 from fleet.database.base import FleetTable, open_database
 from fleet.database.rigs import FleetRig
-from fleet.machine.broker_signals import reload_rights
-from fleet.machine.places import FleetPlaces
+from fleet.machine.places import FleetMachine, FleetPlaces
 from fleet.machine.rig_papers import (
     RigPaper,
     new_paper,
@@ -28,6 +29,8 @@ from fleet.machine.rig_papers import (
 from fleet.machine.setting_up import write_rights
 from fleet.numbers.victoria import Numbers, NumbersError
 from fleet.settings import FleetSettings, load
+
+SETTLE_S = 0.5  # it looks for signals ten times a second
 
 
 def add_rig(places: FleetPlaces, name: str, group: str, kind: str, out: Path) -> bool:
@@ -146,3 +149,18 @@ def _erase_rows(session: Session, table: Table, name: str) -> None:
     columns += [table.c.rig] if "rig" in table.c and not columns else []
     for column in columns:
         session.execute(delete(table).where(column == name))
+
+
+def reload_rights(machine: FleetMachine) -> bool:
+    """Have the broker read its access list; return whether one runs. Errors: PermissionError"""
+    try:
+        number = int((Path(machine.data) / "broker" / "mosquitto.pid").read_text())
+        if (Path("/proc") / str(number) / "comm").read_text().strip() != "mosquitto":
+            return False  # it has ended, and the number is somebody else's
+        os.kill(number, signal.SIGHUP)
+        # mosquitto 2.0 forgets a signal that comes while it reads: that of another rig's a moment before.
+        time.sleep(SETTLE_S)
+        os.kill(number, signal.SIGHUP)
+    except (FileNotFoundError, ProcessLookupError, ValueError):
+        return False
+    return True

@@ -6,7 +6,7 @@ import time
 from http import HTTPStatus
 from typing import Any
 
-from sqlalchemy import update
+from sqlalchemy import Engine, update
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
@@ -18,18 +18,28 @@ from edge.page.access import Role
 from edge.page.answers import NotAllowed, answer, document, in_thread, number, text
 from edge.page.cookie import delete_cookie, secret_of, set_cookie
 from fleet.database.alarms import FleetOrder
+from fleet.database.twins import ToldTwin
 from fleet.page import series
 from fleet.page.alarm_shelf import read_alerts
 from fleet.page.fleet_page import FleetPage, refuse_below, row_number
-from fleet.page.known_twin import known_twin
 from fleet.page.order_desk import OrderDesk, check, payload_of
 from fleet.page.people import EVERY, FleetVisitor
 from fleet.page.rig_list import Wanted
 from fleet.page.standing import STANDINGS
 from fleet.rollout.archives import SUFFIX, archive_bytes
 
+Json = dict[str, Any]
 ALERTS = "/api/v2/alerts"  # Alertmanager's, where vmalert posts
 SEARCH_MAX = 100  # characters
+
+
+def known_twin(engine: Engine, rig: str) -> Json | None:
+    """Return its bundle, its time and the effects of its document, None before the rig has told any."""
+    with Session(engine) as session:
+        twin = session.get(ToldTwin, rig)
+        if twin is None:
+            return None
+        return {"bundle": twin.bundle, "utc": twin.utc, "effects": twin.document.get("effects") or {}}
 
 
 async def enter(page: FleetPage, request: Request) -> Response:

@@ -1,21 +1,35 @@
-"""Blocks of a wave: taken from costs once, when their hours are over, and kept before they are judged."""
+"""Blocks of a wave: taken once from hourly costs, when their hours are over, and kept before the judgement."""
 
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from statistics import fmean
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from edge.lab.cost import step_cost
 from fleet.database.bundles import RolloutBlock, RolloutRig, RolloutWave
 from fleet.database.rigs import FleetRig, are_there
-from fleet.rollout.costs import Costs
-from fleet.rollout.judge import BLOCK_H, DAY_H, HOUR_S, difference, relative_change
+from fleet.numbers.series import PREFIX, any_of
+from fleet.numbers.victoria import Numbers
+from fleet.rollout.judge import BLOCK_H, DAY_H, HOUR_S, HourCost, difference, relative_change
 from fleet.rollout.states import RigState
+from fleet.settings import NumbersSettings
 
 BLOCK_S = BLOCK_H * HOUR_S
 BEFORE_S = 3 * DAY_H * HOUR_S  # a box is compared with itself over so long before a wave
 LATE_S = 1800.0  # ticks that are on their way when a block ends
 COMPARED_MAX = 60  # waiting boxes of a kind: more of them tell little more and take their time to read
+Costs = Callable[[str, float, float], list[HourCost]]  # of a rig, from and until a time [s since 1970]
+QUANTITIES = ("temp_air_c", "reference_c", "sent_heater_duty", "sent_fan_share")
+AIR, REFERENCE, DUTY, FAN = (PREFIX + quantity for quantity in QUANTITIES)
+STEP_MAX_S = 600.0  # between two ticks that are neighbours
+COVERED_LEAST = 0.75  # of an hour
+MS = 1000
+
+Samples = Mapping[str, Mapping[int, float]]  # name of a series -> time [ms] -> value
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,3 +115,41 @@ def take_block(
         changed=len(changed),
         waiting=len(waiting),
     )
+
+
+def costs_from(settings: NumbersSettings) -> Costs:
+    """Return the reader of a fleet's numbers. The reader raises NumbersError where they cannot be read."""
+    numbers = Numbers(settings)
+
+    def costs(rig: str, since_utc: float, until_utc: float) -> list[HourCost]:
+        # The step that begins before `until_utc` ends at the tick after it.
+        samples = {
+            series.labels["__name__"]: {
+                round(MS * utc): value for utc, value in zip(series.utc, series.values, strict=True)
+            }
+            for series in numbers.series(any_of(QUANTITIES, rig), since_utc, until_utc + STEP_MAX_S)
+        }
+        return [hour for hour in hourly(samples) if since_utc <= hour.begin_utc < until_utc]
+
+    return costs
+
+
+def hourly(samples: Samples) -> list[HourCost]:
+    """Return the mean cost of a step in each hour that is covered by steps, the oldest first."""
+    found: dict[float, list[tuple[float, float]]] = defaultdict(list)
+    for begin_s, length_s, cost in _steps(samples):
+        found[begin_s // HOUR_S * HOUR_S].append((length_s, cost))
+    return [
+        HourCost(begin, fmean(cost for _, cost in steps))
+        for begin, steps in sorted(found.items())
+        if sum(length_s for length_s, _ in steps) >= COVERED_LEAST * HOUR_S
+    ]
+
+
+def _steps(samples: Samples) -> Iterator[tuple[float, float, float]]:
+    """Yield begin [s], length [s] and cost of each step: its error is that of the air at the next tick."""
+    air, reference, duty, fan = (samples.get(name, {}) for name in (AIR, REFERENCE, DUTY, FAN))
+    times = sorted(reference.keys() & duty.keys() & fan.keys())
+    for at, after in pairwise(times):
+        if after in air and after - at <= MS * STEP_MAX_S:
+            yield at / MS, (after - at) / MS, step_cost(air[after] - reference[at], duty[at], fan[at])

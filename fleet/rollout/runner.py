@@ -15,13 +15,11 @@ from edge.core.errors import DataError
 from fleet.database.bundles import BundleRollout, RolloutBlock, RolloutRig, RolloutWave
 from fleet.database.rigs import FleetRig, are_there
 from fleet.rollout.archives import archive_url
-from fleet.rollout.begin import lock, rigs_of, rules_of, stop
-from fleet.rollout.blocks import due, take_block, who_compares
-from fleet.rollout.costs import Costs
+from fleet.rollout.begin import KindRigs, choose_wave, is_last, lock, rigs_of, rules_of, stop
+from fleet.rollout.blocks import Costs, due, take_block, who_compares
 from fleet.rollout.judge import HOUR_S, Verdict, judge
 from fleet.rollout.rig_line import RigLine
 from fleet.rollout.states import RigState, RolloutState, WaveState, harm, take_news
-from fleet.rollout.waves import KindRigs, choose_wave, is_last
 
 AGAIN_S = 300.0  # until an order that was not answered is sent again
 SETTLE_S = 3600.0  # after a change a controller's estimate and the box come to rest

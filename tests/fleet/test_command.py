@@ -54,7 +54,7 @@ def test_a_package_that_is_missing_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "sqlalchemy", None)
-    monkeypatch.delitem(__import__("sys").modules, "fleet.commands.rigs", raising=False)
+    monkeypatch.delitem(__import__("sys").modules, "fleet.commands.lists", raising=False)
     monkeypatch.delitem(__import__("sys").modules, "fleet.database.base", raising=False)
     assert call(monkeypatch, "rigs", "--settings", str(settings_file(tmp_path))) == 2
     assert "pip install 'greenhouse-twin[fleet]'" in capsys.readouterr().err

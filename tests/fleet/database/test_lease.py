@@ -13,8 +13,7 @@ from sqlalchemy.orm import Session
 
 from edge.core.processes import die_with_parent
 from fleet.database.base import open_database
-from fleet.database.lease import FleetLease, LeaseLost
-from fleet.database.leases import WorkLease
+from fleet.database.lease import FleetLease, LeaseLost, WorkLease
 from fleet.settings import DatabaseSettings
 from tests.support.broker import wait_for
 from tests.support.daemon_process import ROOT

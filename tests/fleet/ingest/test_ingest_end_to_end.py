@@ -16,7 +16,7 @@ from edge.twin.twin_file import TwinFile, twin_of, write_twin_file
 from edge.twin.value import Value
 from fleet.database.base import open_database
 from fleet.database.events import RigEvent
-from fleet.database.leases import WorkLease
+from fleet.database.lease import WorkLease
 from fleet.database.rigs import SILENT_S, FleetRig, StoredSpan, are_there
 from fleet.database.twins import ToldTwin
 from fleet.machine.rig_register import erase_rig

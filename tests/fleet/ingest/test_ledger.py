@@ -13,8 +13,7 @@ from fleet.ingest.ledger import (
     RigLedger,
     RigPlan,
 )
-from fleet.ingest.refusal import Refused
-from fleet.ingest.spans import Spans
+from fleet.ingest.spans import Refused, Spans
 from fleet.ingest.tick import Tick
 
 START_UTC = 1.7e9

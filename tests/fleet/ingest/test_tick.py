@@ -11,7 +11,7 @@ from history_records import START_UTC, eventful_tick, tick
 from edge.core.messages import Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.formats.tick_json import tick_json
-from fleet.ingest.refusal import Refused
+from fleet.ingest.spans import Refused
 from fleet.ingest.tick import PAYLOAD_MAX, Tick, parse_tick
 from fleet.numbers.series import lines
 

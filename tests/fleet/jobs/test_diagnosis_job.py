@@ -13,14 +13,12 @@ from edge.__main__ import main
 from edge.twin.twin_file import twin_document
 from fleet.commands.work import WORK
 from fleet.database.base import open_database
-from fleet.database.diagnoses import RigDiagnosis
 from fleet.database.events import RigEvent
 from fleet.database.lease import FleetLease
 from fleet.database.rigs import FleetRig
-from fleet.database.twins import ToldTwin
+from fleet.database.twins import RigDiagnosis, ToldTwin
 from fleet.jobs.changes import changes
-from fleet.jobs.diagnosis_job import begun_disagreements, diagnose_changed
-from fleet.jobs.rig_run import rig_run
+from fleet.jobs.diagnosis_job import begun_disagreements, diagnose_changed, rig_run
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, FleetSettings, NumbersSettings
 from tests.support.simulated_runs import BOX, simulate, twin_file

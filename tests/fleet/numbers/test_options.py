@@ -2,7 +2,7 @@
 
 import pytest
 
-from fleet.numbers.options import days, problem
+from fleet.ingest.loop import days, problem
 
 RIGHT = {"dedup.minScrapeInterval": "1ms", "retentionPeriod": "10y"}
 

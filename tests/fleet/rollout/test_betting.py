@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fleet.rollout.betting import MOST, evidence_above, evidence_below
+from fleet.rollout.judge import MOST, evidence_above, evidence_below
 
 ERROR, BOUND, MARGIN, LOOKS = 0.05, 0.5, 0.1, 200
 

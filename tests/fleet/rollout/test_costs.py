@@ -11,7 +11,7 @@ import pytest
 
 from edge.core.errors import DataError
 from edge.lab.cost import step_cost
-from fleet.rollout.costs import AIR, DUTY, FAN, REFERENCE, Samples, costs_from, hourly
+from fleet.rollout.blocks import AIR, DUTY, FAN, REFERENCE, Samples, costs_from, hourly
 from fleet.rollout.judge import HOUR_S
 from fleet.settings import NumbersSettings
 

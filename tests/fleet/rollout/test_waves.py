@@ -1,6 +1,6 @@
 """Which rigs are in which wave."""
 
-from fleet.rollout.waves import KindRigs, choose_wave, wave_size
+from fleet.rollout.begin import KindRigs, choose_wave, wave_size
 
 
 def rigs(kind: str, count: int) -> list[str]:
