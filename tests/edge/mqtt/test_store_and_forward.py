@@ -39,7 +39,7 @@ class Heard:
 
 def test_killing_the_daemon_at_any_moment_loses_nothing_that_was_stored(tmp_path):
     database = str(tmp_path / "history.db")
-    publisher = str(Path(__file__).parents[3] / "bench" / "support" / "publisher.py")
+    publisher = str(Path(__file__).parents[3] / "tests" / "support" / "publisher.py")
     moments = random.Random(5)
     with Broker(tmp_path, KEEPS_SESSIONS) as broker, Listener(broker.port, TICKS) as listener:
         heard = Heard(listener)
