@@ -1,4 +1,4 @@
-"""Blocks of a wave: taken once from hourly costs, when their hours are over, and kept before the judgement."""
+"""Blocks of a wave: taken once from hourly costs when their hours are over, and kept before the judgement."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence

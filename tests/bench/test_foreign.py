@@ -8,20 +8,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.foreign import __main__ as commands
 from bench.foreign import cases, greenhouse
 from bench.foreign.box import HOT_ELEMENT_K, BoxWeather, ForeignBox, drive
 from bench.foreign.cases import ALIASES, HIDEABLE, KINDS, OUTSIDE, ForeignCase, seed_of
 from bench.foreign.make import make_case, name_of, tasks_of, write_case
+from bench.foreign.peer import TERMS, sparse
+from bench.foreign.run_cases import OURS, PYSINDY, SolverTask, case_sha256, is_done, run_one
 from bench.foreign.score import calibration_error, figures, is_alike, score, text
 from bench.header import Share
-from edge.formats.run_file import read_run
+from edge.commands import twin_benchmark
+from edge.core.errors import RequestError
+from edge.formats.run_file import RecordedRun, read_run, write_run
 from edge.twin.effects.library import EFFECTS
+from edge.twin.model import BoxTwin
 from edge.twin.twin_file import read_twin_file
 
 FOLDER = Path(cases.__file__).parent
 ROWS, STEP_S = 800, 10.0
 BOX = ForeignBox(volume_m3=0.02, power_w=40.0, loss_w_k=1.0, contents_j_k=300.0)
 RUN = {"wall_s": 10.0, "cpu_s": 10.0}
+RUN_ROWS = 160
+KNOWN = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 5.0}}
+NAMES = list(TERMS)
 
 
 def still(room_c: float = 20.0) -> BoxWeather:
@@ -258,3 +267,94 @@ def test_what_is_said_is_held_against_what_held() -> None:
 def test_truth_is_plain_json(few: list[ForeignCase]) -> None:
     for case in few:
         json.dumps(case.truth, allow_nan=False)
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Path:
+    """Two training runs of a box with a lamp, which the twin file does not have."""
+    folder = tmp_path / "case_1"
+    folder.mkdir()
+    (folder / "twin.yaml").write_text(
+        "effects: {wall_loss: {UA: {fit: true, start: 2}}, extra_capacity: {kC: {value: 4, rel_sd: 0.3}}}\n"
+        "sensor: {quantisation_k: 0.0, noise_sd_k: null}\n"
+    )
+    twin = BoxTwin(effects={**KNOWN, "led_gain": {"P_led": 20.0}})
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        duty = np.repeat(rng.integers(0, 13, RUN_ROWS // 10) / 20.0, 10)
+        fan, light = (np.repeat(rng.random(RUN_ROWS // 20) < 0.4, 20).astype(float) for _ in range(2))
+        room, start = np.full(RUN_ROWS, 20.0), np.array([[20.0]])
+        shown = twin.rollout(start, duty[None], fan[None], room[None], conditions={"light": light[None]})[0]
+        temp = np.concatenate([[20.0], shown[:-1]]) + 0.02 * rng.normal(size=RUN_ROWS)
+        columns = {"time_s": 60.0 * np.arange(RUN_ROWS), "temp_air_c": temp, "temp_ambient_c": room,
+                   "heater_duty": duty, "fan_on": fan, "light": light}  # fmt: skip
+        write_run(RecordedRun(columns, {"role": "train"}), folder / f"train_{seed:02}.csv")
+    return folder
+
+
+def test_the_peer_names_a_lamp_and_its_answer_is_kept_with_its_seconds(case: Path, tmp_path: Path) -> None:
+    task = SolverTask(PYSINDY, case, tmp_path / "out", 60.0)
+    assert not is_done(task)
+    assert run_one(task).startswith("case_1 pysindy")
+    took = json.loads((task.out / "run.json").read_text())
+    assert took["exit"] == 0, took["stderr"]
+    assert took["wall_s"] > 0.0
+    assert json.loads((task.out / "diagnosis.json").read_text())["effects"][0]["name"] == "led_gain"
+    assert is_done(task)
+
+
+def test_a_term_is_chosen_only_where_it_pays() -> None:
+    rng = np.random.default_rng(3)
+    terms, noise = rng.normal(size=(400, len(TERMS))), rng.normal(size=400)
+    assert sparse(terms, 5.0 * terms[:, NAMES.index("heater_lag")] + noise) == ["heater_lag"]
+    assert sparse(terms, np.zeros(400)) == []
+
+
+def test_a_diagnosis_that_fails_is_kept_as_one_that_failed(case: Path, tmp_path: Path) -> None:
+    (case / "twin.yaml").write_text("effects: {no_such_effect: {}}\n")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "diagnosis.json").write_text("{}")  # of an earlier run: it must not count
+    assert "failed" in run_one(SolverTask(OURS, case, out, 60.0))
+    took = json.loads((out / "run.json").read_text())
+    assert took["exit"] != 0
+    assert "no_such_effect" in took["stderr"]
+    assert took["cpu_s"] > 0.0
+    assert not (out / "diagnosis.json").exists()
+
+
+def test_a_diagnosis_that_takes_too_long_is_stopped(case: Path, tmp_path: Path) -> None:
+    run_one(SolverTask(OURS, case, tmp_path / "out", 0.01))
+    took = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert took["exit"] != 0
+    assert "stopped after 0.01 s" in took["stderr"]
+
+
+def test_other_files_of_a_case_are_another_case(case: Path) -> None:
+    before = case_sha256(case)
+    (case / "twin.yaml").write_text("effects: {}\n")
+    assert case_sha256(case) != before
+
+
+def test_an_unknown_command_ends_with_code_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert commands.main(["win"]) == 2
+    assert "score" in capsys.readouterr().out
+
+
+def test_the_benchmark_makes_runs_and_scores_the_same_cases(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parser = argparse.ArgumentParser()
+    twin_benchmark.add_arguments(parser)
+    words = ["--quick", "--out", str(tmp_path), "--kinds", "none_such"]
+    steps = twin_benchmark.steps(parser.parse_args(words))
+    assert [step[0] for step in steps] == ["make", "run", "score"]
+    assert len({tuple(step[1:]) for step in steps}) == 1
+    for step in steps:  # each is understood: it is refused for the kind, not for its arguments
+        assert commands.main(step) == 2
+        assert "there is no kind 'none_such'" in capsys.readouterr().err
+
+
+def test_without_a_checkout_the_benchmark_says_so(tmp_path: Path) -> None:
+    with pytest.raises(RequestError, match="checkout"):
+        twin_benchmark.refuse_without_checkout(tmp_path)

@@ -1,5 +1,6 @@
 """bench/real_truth: measured logs as cases, and what is said of them."""
 
+import json
 import pickle
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 from bench.real_truth.__main__ import is_true, write
 from bench.real_truth.logs import LOGS, SHARED, texts
+from bench.reliability import main
 from edge.core.errors import DataError
 from edge.formats.run_file import read_run
 from edge.twin.effects.library import EFFECTS
@@ -105,3 +107,32 @@ def test_houses_plants_and_ovens_are_read_in_our_units() -> None:
     assert oven["heater_duty"] == pytest.approx(0.529)
     lamp = reader("lamp over a plate")("   0.00   9.000  129.320\n   2.00   4.500  129.320\n")
     assert lamp["heater_duty"].tolist() == [0.9, 0.45]
+
+
+def answered(folder: Path, names: dict[str, float], hidden: str) -> None:
+    """A case with its truth, and an answer whose names have these probabilities."""
+    for path, content in (
+        (folder / "truth" / "case_1.json", {"hidden": {hidden: {}}}),
+        (
+            folder / "answers" / "case_1" / "diagnosis.json",
+            {"effects": [{"name": name, "probability": said} for name, said in names.items()]},
+        ),
+    ):
+        path.parent.mkdir(parents=True)
+        path.write_text(json.dumps(content), encoding="utf-8")
+
+
+def test_what_was_said_stands_beside_what_held(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    answered(tmp_path / "dev", {"heater_lag": 0.97, "soil_mass": 0.7}, hidden="heater_lag")
+    assert main([f"foreign={tmp_path / 'dev'}", "--out", str(tmp_path / "diagram.png")]) == 0
+    said = capsys.readouterr().out
+    assert "foreign: 2 names" in said
+    assert "0.95 to 1.00: said 0.97, held 1.00" in said
+    assert "0.60 to 0.80: said 0.70, held 0.00" in said
+    assert (tmp_path / "diagram.png").stat().st_size > 1000
+
+
+def test_a_place_without_names_draws_an_empty_diagram(tmp_path: Path) -> None:
+    (tmp_path / "dev" / "truth").mkdir(parents=True)
+    assert main([f"foreign={tmp_path / 'dev'}", "--out", str(tmp_path / "diagram.png")]) == 0
+    assert (tmp_path / "diagram.png").stat().st_size > 1000

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from line_host import LineHost
+from line import LineHost
 
 from firmware_protocol.link import BoardReset, LinkLost, LinkUp, Nonsense, VersionRefused
 from firmware_protocol.messages import Capability, Quality

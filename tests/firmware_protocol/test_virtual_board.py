@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import serial
-from line_host import LineHost
+from line import LineHost
 
 from edge.board.serial_port import SerialPort
 from edge.board.sim_clock import SimClock

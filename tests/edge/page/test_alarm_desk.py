@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from alarm_servers import HttpSink, http_sink, mail_sink, silent_server
 from history_records import START_UTC, HandClock, store, tick
-from rig_views import view
+from page_process import view
 
 from edge.config.loading import parse
 from edge.core.errors import RequestError

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from rig_views import view
+from page_process import view
 
 from edge.page.alarms.rig_watch import AIR, BOARD, BOARD_TRIP, DAEMON, HOLD_S, STOP, TICKS, RigWatch, cause_of
 

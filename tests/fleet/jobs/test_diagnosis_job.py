@@ -1,15 +1,19 @@
 """Diagnoses of a night: a rig whose twin disagrees is diagnosed once, from what ingest has stored of it."""
 
+import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
-from stored_ticks import START, store
 
 from edge.__main__ import main
+from edge.core.messages import Reading, ReadingQuality
+from edge.formats.run_file import RecordedRun
+from edge.formats.tick_json import tick_json
 from edge.twin.twin_file import twin_document
 from fleet.commands.work import WORK
 from fleet.database.base import open_database
@@ -17,14 +21,39 @@ from fleet.database.events import RigEvent
 from fleet.database.lease import FleetLease
 from fleet.database.rigs import FleetRig
 from fleet.database.twins import RigDiagnosis, ToldTwin
+from fleet.ingest.tick import parse_tick
 from fleet.jobs.changes import changes
 from fleet.jobs.diagnosis_job import begun_disagreements, diagnose_changed, rig_run
+from fleet.numbers.series import lines
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, FleetSettings, NumbersSettings
+from tests.support.mqtt_rig import record
 from tests.support.simulated_runs import BOX, simulate, twin_file
 from tests.support.victoria import Victoria, needs_victoria
 
+START = 1.79e9
 HIDDEN = {"heater_lag": {"tau_h": 400.0}}
+
+
+def store(numbers: Numbers, rig: str, recorded: RecordedRun) -> None:
+    """Store a run that begins at START, a tick a minute."""
+    text = []
+    for row in range(len(recorded)):
+        air, room, duty, fan = (
+            float(recorded.columns[name][row])
+            for name in ("temp_air_c", "temp_ambient_c", "heater_duty", "fan_on")
+        )
+        readings = {
+            name: Reading(name, value, 0.0, ReadingQuality.GOOD)
+            for name, value in (("temp_air", air), ("temp_ambient", room))
+        }
+        made = record(row + 1, utc=START + 60.0 * row, readings=readings)
+        assert made.echo is not None
+        made = replace(made, echo=replace(made.echo, heater_duty=duty, fan_on=bool(fan)))
+        payload = json.dumps({"history_id": "h", **tick_json(made)}).encode()
+        tick = parse_tick(rig, payload, 0.0, made.utc)
+        text.append(lines(rig, tick.utc, tick.samples))
+    numbers.store("".join(text))
 
 
 @pytest.fixture

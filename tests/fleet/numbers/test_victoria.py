@@ -8,13 +8,40 @@ from pathlib import Path
 
 import pytest
 
+from fleet.ingest.loop import days, problem
 from fleet.numbers.series import head, lines, selector
 from fleet.numbers.victoria import Numbers, NumbersError
 from fleet.settings import NumbersSettings
 from tests.support.broker import free_port, wait_for
 from tests.support.victoria import Victoria, needs_victoria
 
+RIGHT = {"dedup.minScrapeInterval": "1ms", "retentionPeriod": "10y"}
 SAMPLES = ((head("temp_air_c"), 21.5), (head("forecast_temp_c", predictor="arx", horizon_min=5), 22.25))
+
+
+@pytest.mark.parametrize(
+    ("period", "expected"),
+    [("1", 31.0), ("48h", 2.0), ("1.5d", 1.5), ("2w", 14.0), ("10y", 3650.0), ("", 0.0), ("x", 0.0)],
+)
+def test_a_period_is_read_as_victoria_metrics_does(period: str, expected: float) -> None:
+    assert days(period) == expected
+
+
+def test_the_right_options_are_no_problem() -> None:
+    assert problem(RIGHT, 3650.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"dedup.minScrapeInterval": "0s"}, "minScrapeInterval=0s: must be 1ms"),
+        ({"dedup.minScrapeInterval": "1m"}, "minScrapeInterval=1m: must be 1ms"),
+        ({"retentionPeriod": "1"}, "keeps 31 days, but numbers.retention_days is 3650"),
+        ({"retentionPeriod": "soon"}, "keeps 0 days"),
+    ],
+)
+def test_a_wrong_one_is_named(changes: dict[str, str], text: str) -> None:
+    assert text in problem({**RIGHT, **changes}, 3650.0)
 
 
 def read(numbers: Numbers, quantity: str, rig: str = "rig-1") -> list[tuple[float, float]]:
