@@ -209,6 +209,7 @@ class KilledRig:
 def _configuration(folder: Path, port: int) -> dict[str, Any]:
     return {
         "state_file": str(folder / "state.json"),
+        "bundle": {"path": str(folder / "bundles"), "trusted_keys": str(folder / "keys")},
         "board": {"port": str(folder / "port")},
         "control_socket": {"path": str(folder / "daemon.sock")},
         "history": {"path": str(folder / "history.db")},
