@@ -32,7 +32,6 @@ BENCHES = {
     "example_diagnosis": Bench(
         ("--out", "out/bench/example_diagnosis.txt", "--images", "out/bench"), keeps_its_table=True
     ),
-    "page_attack": Bench(("--seconds", "5", "--rounds", "1")),
     "attack": Bench(("--share", "0.01")),
     "drift_alarms": Bench(("--paths", "5", "--days", "6", "--boxes", "1")),
     "real_truth": Bench(("--only", "energy balance")),

@@ -20,7 +20,6 @@ MEASURED: Mapping[str, tuple[str, ...]] = {  # bench -> the code that its figure
     "kills": ("edge", "firmware_protocol", "bench/kills.py"),
     "daemon": ("edge", "firmware_protocol", "bench/daemon.py", "bench/default_daemon.py"),
     "outbox": ("edge/mqtt", "edge/storage", "edge/formats/tick_json.py", "bench/outbox.py"),
-    "page_attack": ("edge/page", "edge/sockets", "edge/tick/loop.py", "bench/page_attack.py"),
     "real_truth": ("edge/twin", "edge/diagnosis", "bench/real_truth"),
 }
 _COMMIT = re.compile(r"^commit ([0-9a-f]{7,40})", re.MULTILINE)

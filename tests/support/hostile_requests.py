@@ -1,4 +1,4 @@
-"""Requests of strangers, of other sites and of guests, as bytes: the tests and `bench.page_attack` send them.
+"""Requests of strangers, of other sites and of guests, as bytes.
 
 A page refuses each of them, closes the connection in time, and the rig and its history stay as they are.
 """
