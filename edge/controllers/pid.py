@@ -8,8 +8,9 @@ from edge.core.controller import Context
 from edge.core.messages import Command, Decision
 from edge.core.names import HEATER_LEVELS, levels_allowed
 
-# Chosen on the tuning references by `python -m training.control.tune PID`: of the settings within 5 % of the
-# best those with the least derivative, as a real sensor has noise, and the fan that cools soonest.
+# Chosen from a grid on the tuning references (training/control/tune.py at commit 02ed168c): of the settings
+# within 5 % of the best those with the least derivative, as a real sensor has noise, and the fan that cools
+# soonest.
 KP = 0.6  # [1/K]
 KI = 0.0004  # [1/(K s)]
 KD = 60.0  # [s/K]

@@ -36,7 +36,7 @@ SPARING = {  # ours with more weight on effort, to be set beside others that spe
     "MPC-Twin-P/100": 100.0, "MPC-Twin-P/1000": 1000.0, "MPC-Twin-P/4000": 4000.0, "MPC-Twin-P/6000": 6000.0,
 }  # fmt: skip
 PLANNING = (*MPC, *MPC_TWIN)  # that have a use for the coming reference
-TUNED = Thresholds(0.2, 0.2, 2.5, 1.0)  # the cheapest of `python -m training.control.tune rules`
+TUNED = Thresholds(0.2, 0.2, 2.5, 1.0)  # the cheapest of a grid, as PID's gains
 HYBRID = {"predictor": "ham"}
 KNOWS, HELD = {"preview": True}, {"twin_preview": False}
 ANY_K = 20.0  # above what the air can leave the reference by

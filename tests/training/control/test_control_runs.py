@@ -1,4 +1,4 @@
-"""Runs of the comparison, the references that they follow, and the tuning of what is compared."""
+"""Runs of the comparison, and the references that they follow."""
 
 import subprocess
 import sys
@@ -13,7 +13,6 @@ from contexts import context
 from edge.app.controllers import ControllerParts, make
 from edge.config import loading as config
 from edge.config.settings import ControlSettings
-from edge.controllers.rules import Rules, Thresholds
 from edge.core.errors import DataError
 from edge.formats.profile_file import read_profile
 from edge.models.arx_file import read_arx
@@ -21,8 +20,7 @@ from training.control import job as control_job
 from training.control.closed_loop import ClosedLoopLog, closed_loop, log_of
 from training.control.draw_references import FOLDER, SEGMENTS, text
 from training.control.job import ComparisonJob, is_kept, keep, read, run, run_all
-from training.control.rig import TUNED, entries
-from training.control.tune import GRIDS, Grid, costs, tune
+from training.control.rig import entries
 
 LENGTH_S = 900.0
 SETTINGS = (
@@ -147,22 +145,3 @@ def test_a_reference_lies_where_the_box_can_follow(name):
 def test_the_references_are_as_long_as_the_papers():
     assert read_profile(FOLDER / "reference_1.csv").end_s == 212 * 60
     assert read_profile(FOLDER / "reference_2.csv").end_s == 24 * 3600
-
-
-def test_what_is_in_use_stands_in_its_grid():
-    for name, grid in GRIDS.items():
-        assert all(value in values for value, values in zip(grid.shipped, grid.values, strict=True)), name
-
-
-def test_the_tuned_thermostat_costs_a_fraction_of_the_fallbacks():
-    reference = np.repeat([25.0, 29.0, 26.0], 40)
-    fallback, thermostat = costs([Rules(), Rules(TUNED)], reference, 101)
-    assert thermostat < fallback / 2
-
-
-def test_the_cheapest_setting_comes_first(monkeypatch):
-    monkeypatch.setattr("training.control.tune.CASES", (("tuning_1", 101),))
-    grid = Grid(lambda on: Rules(Thresholds(heat_below_k=on)), ("on",), ((0.5, 3.0),), (0.5,))
-    found = tune(grid)
-    assert [setting for _, setting in found] == [(0.5,), (3.0,)]
-    assert found[0][0] < found[1][0]
