@@ -16,14 +16,64 @@ from edge.core.processes import die_with_parent
 from edge.models.arx import Arx
 from edge.models.arx_file import write_arx
 from edge.sockets.client import request
-from tests.support.broker import wait_for
+from tests.support.broker import PATIENCE_S, wait_for
 
 ROOT = Path(__file__).parents[2]
 RIG = "greenhouse/rig-1"  # first part of every topic
-END_S = 15.0
 
 
-class DaemonProcess:
+class ChildProcess:
+    """A command as a process whose output goes into `log_file`; surely dead after its `with`."""
+
+    log_file: Path
+    process: "subprocess.Popen[bytes] | None" = None
+
+    @property
+    def command(self) -> list[str]:
+        """Return the command line."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+
+    def start(self) -> None:
+        """Start; what follows waits for more than that."""
+        self.launch()
+
+    def launch(self) -> None:
+        """Start, and wait for nothing."""
+        with self.log_file.open("ab") as log:
+            self.process = subprocess.Popen(
+                self.command, stdout=log, stderr=log, cwd=ROOT, preexec_fn=die_with_parent
+            )
+
+    def kill(self) -> None:
+        """kill -9, if it still runs."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait(PATIENCE_S)
+
+    def stop(self) -> int:
+        """SIGTERM; the exit code."""
+        assert self.process is not None
+        self.process.terminate()
+        return self.process.wait(PATIENCE_S)
+
+    def has_ended(self) -> bool:
+        """Return whether the process is over, or was never started."""
+        return self.process is None or self.process.poll() is not None
+
+    @property
+    def log(self) -> str:
+        """The output so far."""
+        return self.log_file.read_text(errors="replace")
+
+
+class DaemonProcess(ChildProcess):
     """`with DaemonProcess(folder, mqtt_port) as daemon:`; its board is the one whose files are in `folder`.
 
     mqtt_port : of a broker, or None for a daemon without telemetry
@@ -35,49 +85,22 @@ class DaemonProcess:
         self.socket = folder / "daemon.sock"
         self.history = folder / "history.db"
         self.state_file = folder / "state.json"
-        self._log = folder / "daemon.log"
+        self.log_file = folder / "daemon.log"
         settings = configuration(folder, mqtt_port)
         for name, values in sections.items():
             settings[name] = {**settings.get(name, {}), **values}
         self.config.write_text(yaml.safe_dump(settings))
-        self.process: subprocess.Popen[bytes] | None = None
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.kill()
 
     @property
     def command(self) -> list[str]:
-        """Return its command line."""
+        """Return the command line."""
         return run_command(self.config)
 
     def start(self) -> None:
         """Start, and wait for the first tick."""
         self.launch()
-        wait_for(lambda: self.seq() or self._has_ended(), f"the first tick, see {self.log}")
-        assert not self._has_ended(), self.log
-
-    def launch(self) -> None:
-        """Start, and wait for nothing."""
-        with self._log.open("ab") as log:
-            self.process = subprocess.Popen(
-                self.command, stdout=log, stderr=log, cwd=ROOT, preexec_fn=die_with_parent
-            )
-
-    def kill(self) -> None:
-        """kill -9, if it still runs."""
-        if self.process is not None:
-            self.process.kill()
-            self.process.wait(END_S)
-
-    def stop(self) -> int:
-        """SIGTERM; the exit code."""
-        assert self.process is not None
-        self.process.terminate()
-        return self.process.wait(END_S)
+        wait_for(lambda: self.seq() or self.has_ended(), f"the first tick, see {self.log}")
+        assert not self.has_ended(), self.log
 
     def ask(self, do: str, **values: Any) -> dict[str, Any]:
         """One request over the control socket."""
@@ -113,14 +136,6 @@ class DaemonProcess:
             return bool(self.rows(f"SELECT 1 FROM events WHERE key = '{key}'"))
         except sqlite3.Error:
             return False
-
-    @property
-    def log(self) -> str:
-        """The daemon's output so far."""
-        return self._log.read_text(errors="replace")
-
-    def _has_ended(self) -> bool:
-        return self.process is None or self.process.poll() is not None
 
 
 def run_command(config: Path) -> list[str]:

@@ -1,7 +1,6 @@
 """The page as a process for tests, and a client that asks as a browser does."""
 
 import socket
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,14 +14,11 @@ import yaml
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webdriver import WebDriver
 
-from edge.core.processes import die_with_parent
 from edge.page.access import DAY_S, Access, Role
 from edge.page.cookie import COOKIE
 from tests.support.broker import free_port, wait_for
-from tests.support.daemon_process import ROOT, DaemonProcess, configuration
+from tests.support.daemon_process import ChildProcess, DaemonProcess, configuration
 from tests.support.virtual_board import VirtualBoard, virtual_board
-
-END_S = 15.0
 
 
 class Client:
@@ -58,7 +54,7 @@ class Client:
         return dict(self.get("/api/view").json())
 
 
-class PageProcess:
+class PageProcess(ChildProcess):
     """A running page of the rig whose files are in `folder`.
 
     sections : further sections of its configuration; page : settings of its own one
@@ -67,7 +63,7 @@ class PageProcess:
     def __init__(
         self, folder: Path, port: int, sections: Mapping[str, Any] | None = None, **page: Any
     ) -> None:
-        self.config, self._log = folder / "page.yaml", folder / "page.log"
+        self.config, self.log_file = folder / "page.yaml", folder / "page.log"
         self._authority = str(page.get("certificate", ""))
         self.port = port
         self.base = f"{'https' if self._authority else 'http'}://127.0.0.1:{port}"
@@ -75,33 +71,17 @@ class PageProcess:
         own = {"port": port, "folder": str(folder / "page"), **page}
         settings = configuration(folder, None) | {"page": own} | dict(sections or {})
         self.config.write_text(yaml.safe_dump(settings))
-        self.process: subprocess.Popen[bytes] | None = None
 
     @property
     def command(self) -> list[str]:
         """Return its command line."""
         return [sys.executable, "-m", "edge", "page", "--config", str(self.config)]
 
-    @property
-    def log(self) -> str:
-        """The page's output so far."""
-        return self._log.read_text(errors="replace")
-
     def start(self) -> None:
         """Start, and wait until it answers."""
-        with self._log.open("ab") as log:
-            process = subprocess.Popen(
-                self.command, stdout=log, stderr=log, cwd=ROOT, preexec_fn=die_with_parent
-            )
-        self.process = process
-        wait_for(lambda: self.answers() or process.poll() is not None, "the page")
-        assert process.poll() is None, self.log
-
-    def kill(self) -> None:
-        """kill -9, if it runs."""
-        if self.process is not None:
-            self.process.kill()
-            self.process.wait(END_S)
+        self.launch()
+        wait_for(lambda: self.answers() or self.has_ended(), "the page")
+        assert not self.has_ended(), self.log
 
     def client(self, role: Role | None = Role.ADMIN, name: str = "Ann") -> Client:
         """Return a browser that has entered by a link, or one without a session."""

@@ -1,4 +1,4 @@
-"""The courses that the page draws: in the last month of ticks, before it, and where both meet."""
+"""The courses and events that the page reads: in the last month of ticks, before it, and where both meet."""
 
 import sqlite3
 import tracemalloc
@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 from history_records import START_UTC, History, add, store, tick
 
-from edge.core.errors import RequestError
-from edge.core.messages import TickRecord
+from edge.core.errors import DataError, RequestError
+from edge.core.messages import Event, Severity, TickRecord
 from edge.page import courses
 from edge.page.courses import COLUMNS, Courses
+from edge.page.history import events, span
 from edge.storage.file import connect
 from edge.storage.retention import thin
 from edge.storage.runs import name_run
@@ -226,3 +227,28 @@ def test_a_drag_reads_what_is_missing_on_both_sides(path: Path) -> None:
         asked = (at(first) - 1.0, at(last), 2000)
         assert kept.between(*asked) == Courses(path).between(*asked)
         assert len(kept.between(*asked)["utc"]) == last - first
+
+
+def test_after_a_clock_that_ran_ahead_the_newest_event_still_comes_first(tmp_path: Path) -> None:
+    file = tmp_path / "history.db"
+    for seq, ahead_s in ((1, 0.0), (2, 86_400.0), (3, 0.0)):
+        utc = START_UTC + 60.0 * seq + ahead_s
+        store(file, tick(seq, utc=utc, events=(Event("trip", Severity.ALARM, f"number {seq}", 0.0, utc),)))
+    found = events(file, None, ("alarm",), 2)
+    assert [event["text"] for event in found] == ["number 3", "number 2"]
+    before = events(file, START_UTC + 181.0, ("alarm",), 5)
+    assert [event["text"] for event in before] == ["number 3", "number 1"]
+    assert events(file, None, ("warning",), 5) == []
+    assert span(file)["free_mb"] > 0
+
+
+def test_a_missing_history_is_told_and_not_made(tmp_path: Path) -> None:
+    file = tmp_path / "history.db"
+    for call in (
+        lambda: span(file),
+        lambda: events(file, None, ("alarm",), 5),
+        lambda: Courses(file).between(0, 1, 2),
+    ):
+        with pytest.raises(DataError, match=r"history\.db"):
+            call()
+    assert list(tmp_path.iterdir()) == []
