@@ -25,6 +25,7 @@ def start_daemon(folder: Path) -> "subprocess.Popen[bytes]":
         "control_socket": {"path": str(folder / "daemon.sock")},
         "history": {"path": str(folder / "history.db")},
         "board": {"port": str(folder / "port")},
+        "bundle": {"path": str(folder / "bundles"), "trusted_keys": str(folder / "keys")},
         "reference": {"reference_c": 36.0},
     }
     config.write_text(yaml.safe_dump(settings))
