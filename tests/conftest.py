@@ -23,8 +23,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read once, at the f
     os.environ.setdefault(_name, "1")
 
 LONGEST_FIRST = (
-    *("test_closed_loop", "test_nightly_for_real", "test_control_clairvoyant", "test_resolve_alias"),
-    *("test_no_false_alarms", "test_whole_daemon", "test_llm_misbehaviours", "test_safety_mutation"),
+    *("test_whole_daemon", "test_browser", "test_llm_daemon", "test_bounds", "test_experiment"),
+    *("test_commission_pause", "test_no_false_alarms", "test_output_check", "test_runner", "test_demo"),
+    *("test_scenarios", "test_closed_loop", "test_flash", "test_models", "test_twin_diagnose", "test_deploy"),
 )
 
 AVR_HOST_SOURCE = Path(__file__).parent / "firmware_protocol" / "avr" / "avr_host.c"

@@ -11,6 +11,7 @@ PAGE = (ROOT / "docs/add-an-algorithm.md").read_text(encoding="utf-8")
 TITLED = dict(re.findall(r'^```\w+ title="([^"]*)"\n(.*?)^```$', PAGE, re.DOTALL | re.MULTILINE))
 
 
+@pytest.mark.slow
 def test_the_example_prints_what_the_page_says(tmp_path: Path) -> None:
     for name in ("climb.py", "try.py, in the checkout"):
         (tmp_path / name.partition(",")[0]).write_text(TITLED[name], encoding="utf-8")

@@ -33,6 +33,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_the_rigs_distribution_carries_no_training_code(copy: Path) -> None:
     names = built(copy)
     folders = {name.split("/")[0] for name in names if ".dist-info" not in name}

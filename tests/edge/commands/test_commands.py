@@ -168,6 +168,7 @@ def test_a_column_fan_is_not_taken_for_a_fan_that_never_runs(tmp_path, monkeypat
 # plot
 
 
+@pytest.mark.slow
 def test_a_run_and_a_stretch_of_history_are_drawn(tmp_path):
     pytest.importorskip("matplotlib")
     database = ticks_in_history(tmp_path)

@@ -170,6 +170,7 @@ def proven_run(model: Pbm, due_steps: int, knows: bool, steps: int = 26) -> floa
     return cost
 
 
+@pytest.mark.slow
 def test_it_is_ready_for_the_relays_proof():
     model = read_twin(TWINS["packaged"])
     known, unknown = (proven_run(model, 12, knows) for knows in (True, False))

@@ -26,6 +26,7 @@ def sleep(folder):
     time.sleep(60.0)
 
 
+@pytest.mark.slow
 def test_results_keep_the_order_of_the_jobs_and_progress_that_of_their_ends(monkeypatch):
     for name in executor.BLAS_THREADS:
         monkeypatch.delenv(name, raising=False)
@@ -47,6 +48,7 @@ def test_a_failed_job_is_named_with_its_arguments(workers, monkeypatch):
         sweep(told, [1, 3], workers)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", executor.ENDING)
 def test_a_signal_in_the_middle_of_a_start_leaves_no_process_behind(number, tmp_path, monkeypatch):
     class Interrupted(ProcessPoolExecutor):
@@ -66,12 +68,14 @@ def test_a_signal_in_the_middle_of_a_start_leaves_no_process_behind(number, tmp_
     assert signal.getsignal(number) is handler
 
 
+@pytest.mark.slow
 def test_no_scheduler_at_the_address_is_said_in_a_line(monkeypatch):
     monkeypatch.setattr(executor, "CONNECT_S", 0.2)
     with pytest.raises(executor.GreenhouseError, match="no scheduler answers"):
         sweep(told, [1], dask="tcp://127.0.0.1:9")
 
 
+@pytest.mark.slow
 def test_a_cluster_makes_the_files_that_processes_make(tmp_path):
     from distributed import LocalCluster
 

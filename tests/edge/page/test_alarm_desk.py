@@ -281,6 +281,7 @@ def test_a_test_that_works_ends_the_waiting(rig: DeskRig) -> None:
     asyncio.run(scene())
 
 
+@pytest.mark.slow
 def test_a_storm_of_alarms_is_few_messages_that_name_them_all(rig: DeskRig) -> None:
     async def scene() -> None:
         async with running(rig.desk(webhook={"url": f"{sink.url}/t"})) as desk:
@@ -297,6 +298,7 @@ def test_a_storm_of_alarms_is_few_messages_that_name_them_all(rig: DeskRig) -> N
     assert sorted(alarm["cause"] for alarm in named(sink)) == sorted(f"kind.{seq}" for seq in range(2, 42))
 
 
+@pytest.mark.slow
 def test_a_channel_that_hangs_keeps_neither_the_page_nor_another_channel(rig: DeskRig, monkeypatch) -> None:
     monkeypatch.setattr(sender, "EXCHANGE_MAX_S", 0.5)
 
@@ -392,6 +394,7 @@ def test_a_state_that_cannot_be_read_begins_anew(rig: DeskRig) -> None:
 # the sign of life
 
 
+@pytest.mark.slow
 def test_signs_of_life_end_with_the_daemon_its_ticks_or_the_looks(rig: DeskRig) -> None:
     async def scene() -> None:
         async with running(rig.desk(life_sign={"url": f"{sink.url}/ping", "every_s": 60})) as desk:

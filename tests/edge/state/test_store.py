@@ -71,6 +71,7 @@ def test_no_two_survivors_share_a_file_and_each_says_all(tmp_path: Path) -> None
     assert all(survivor.owner and survivor.valid for survivor in SURVIVORS)
 
 
+@pytest.mark.slow
 def test_a_daemon_leaves_no_file_that_the_list_does_not_name(tmp_path: Path) -> None:
     with virtual_board(tmp_path, "--real-time"), DaemonProcess(tmp_path) as daemon:
         daemon.wait_ticks(2)

@@ -589,6 +589,7 @@ def test_a_new_controller_takes_over_without_a_bump(rig: LoopRig) -> None:
     assert record.sent == rig.sink.records[0].sent
 
 
+@pytest.mark.slow
 def test_a_stop_is_obeyed_while_a_controller_thinks_and_the_tick_ends_under_it(rig: LoopRig) -> None:
     rig.tick()
     rig.chosen.hang_s = 2.0
