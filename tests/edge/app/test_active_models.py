@@ -1,4 +1,4 @@
-"""Which predictor a configuration gets, and which is refused."""
+"""Which predictor a configuration gets, which is refused, and what is done in the asker's thread."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,21 +7,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from history_records import store, tick
 
 from edge.__main__ import main
 from edge.app.active_models import ActiveModels, configured_model
 from edge.app.daemon import Daemon
+from edge.app.request_routes import resend
 from edge.bundle.keeper import Serving
 from edge.bundle.predictors import loader
 from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.config import loading as config
-from edge.config.settings import ControlSettings, Settings
+from edge.config.settings import ControlSettings, HistorySettings, Settings
 from edge.core.clock import RealClock
 from edge.core.errors import ConfigError, DataError
 from edge.forecasts.skill import SkillState
 from edge.formats.atomic_file import write_document
 from edge.models.arx_file import DEFAULT_PATH, read_arx, write_arx
 from edge.models.persistence import Persistence
+from edge.mqtt.commands import Resend
 from edge.safety.supervisor import SafetyMemory
 from edge.state.codecs import StandingState, encode_standing
 from edge.tick.orders import Operation
@@ -161,3 +164,23 @@ def test_an_experiment_with_a_controller_that_needs_a_model_is_refused(tmp_path:
         Daemon(settings, RealClock(), experiment="MPC"),
     ):
         pass
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    """With a history of three ticks, all waiting to be sent."""
+    store(tmp_path / "history.db", *(tick(seq) for seq in (1, 2, 3)))
+    return replace(config.default(), history=HistorySettings(path=str(tmp_path / "history.db")))
+
+
+@pytest.mark.parametrize(("first", "last", "queued"), [(1, 1, 1), (2, 3, 2), (1, 2**63 - 1, 3), (9, 9, 0)])
+def test_a_span_of_numbers_is_queued_again(settings: Settings, first: int, last: int, queued: int) -> None:
+    answer = {"ok": True, "queued": queued, "first_seq": first, "last_seq": last}
+    assert resend(settings, Resend(first, last)) == answer
+
+
+def test_a_resend_without_a_history_is_refused_and_makes_none(tmp_path: Path) -> None:
+    path = tmp_path / "history.db"
+    settings = replace(config.default(), history=HistorySettings(path=str(path)))
+    assert not resend(settings, Resend(1, 2))["ok"]
+    assert not path.exists()
