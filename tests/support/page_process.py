@@ -128,7 +128,7 @@ def rig_with_page(
 
 
 def as_at_first(daemon: DaemonProcess) -> None:
-    """Take back what the test before has ordered."""
+    """Take back what the test before has ordered, and wait until the page has seen it."""
     for do, values in (
         ("release_emergency_stop", {}),
         ("set_mode", {"mode": "auto"}),
@@ -136,6 +136,7 @@ def as_at_first(daemon: DaemonProcess) -> None:
         ("set_controller", {"name": None}),
     ):
         assert daemon.ask(do, **values)["ok"]
+    daemon.wait_ticks(3)  # a page looks every second
 
 
 def open_page(

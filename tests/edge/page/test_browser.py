@@ -315,11 +315,13 @@ def test_the_keyboard_alone_reaches_the_stop(rig, board: VirtualBoard) -> None:
     with shared_browser() as driver:
         enter(driver, page, Role.VIEW, "guest")
         wait_for(lambda: heats(board))
-        for _ in range(200):  # a page that is drawn anew meanwhile may begin at its top
-            driver.switch_to.active_element.send_keys(Keys.TAB)
-            if driver.switch_to.active_element.text == "STOP":
+        reached = driver.switch_to.active_element
+        for _ in range(400):  # a page that is drawn anew meanwhile may begin at its top
+            if reached.text == "STOP":
                 break
-        driver.switch_to.active_element.send_keys(Keys.ENTER)
+            reached.send_keys(Keys.TAB)
+            reached = driver.switch_to.active_element
+        reached.send_keys(Keys.ENTER)
         wait_for(lambda: not heats(board))
         wait_for(lambda: "The board confirms: heater and fan are off." in text(driver))
         assert "Release the stop" not in text(driver)
