@@ -66,8 +66,8 @@ def shown(tree: Path, spec: MutationSpec) -> Mutant | None:
         if changed is not None and changed != source:
             before, after = _changed_lines(source, changed)
             return {"module": str(spec.module_path.relative_to(tree)), "line": spec.start_pos[0],
-                    "operator": spec.operator_name, "occurrence": spec.occurrence,
-                    "before": before, "after": after}  # fmt: skip
+                    "within": spec.definition_name, "operator": spec.operator_name,
+                    "occurrence": spec.occurrence, "before": before, "after": after}  # fmt: skip
     return None
 
 
@@ -121,8 +121,8 @@ def _find_in(tree: Path, path: Path, mutant: Mutant) -> Mutant | None:
     return next((m for spec in likely if (m := shown(tree, spec)) and _change(m) == _change(mutant)), None)
 
 
-def _change(mutant: Mutant) -> tuple[str, str]:
-    return mutant["before"], mutant["after"]
+def _change(mutant: Mutant) -> tuple[str | None, str, str]:
+    return mutant["within"], mutant["before"], mutant["after"]
 
 
 def _work_in_a_copy(tree: str) -> None:
