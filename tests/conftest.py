@@ -18,7 +18,7 @@ from hypothesis import settings
 
 from tests.support.builds import FOLDER_VARIABLE, built
 
-# Tests run beside each other: a library that starts a thread for each core makes all of them wait.
+# Tests run in parallel: a library that starts a thread for each core slows all of them.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read once, at the first import of numpy or torch
     os.environ.setdefault(_name, "1")
 
@@ -34,7 +34,6 @@ LACKS = ("is not installed", "is missing", "apt install", "could not import")  #
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("person", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "person")
-
 
 AT_START, SEARCHED = str(Path(machine_places.__file__).parent), "PYTHONPATH"
 if AT_START not in os.environ.get(SEARCHED, "").split(os.pathsep):  # a worker of xdist inherits it

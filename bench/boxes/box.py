@@ -10,7 +10,7 @@ from firmware_protocol.messages import Capability
 
 DAY_S = 86_400.0
 CLOUD_S, MAINS_S = 600.0, 900.0  # between two knots of a random walk
-KNOTS = 4096  # then a walk begins anew: after 28 days of clouds
+KNOTS = 4096  # then a walk starts again: after 28 days of clouds
 NIGHT_S = (22.5 * 3600.0, 6.0 * 3600.0)  # begin and end of the setback
 SETBACK_LAG_S = 3600.0
 DRIFT_S = (2.3 * DAY_S, 3.9 * DAY_S, 6.1 * DAY_S)  # periods that never come together

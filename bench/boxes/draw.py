@@ -39,7 +39,7 @@ HOTTEST_C = 38.0  # 2 K below temp_air_max_c, at which the daemon ends all heati
 QUICK, NEARLY = 1.0 - np.exp(-1.0), 0.95  # shares of the rise
 SALT = 7
 HEATER, FLOW, SHEET, SOIL = (0.90, 1.05), (0.85, 1.15), (0.93, 1.07), (0.8, 1.25)
-SUN = 0.3, 1.5  # times that of the design: each box has a window of its own
+SUN = 0.3, 1.5  # times that of the design: each box has another window
 GAPS, WATER, LAG = (0.5, 2.0), (0.6, 1.7), (0.8, 1.25)
 BIAS_K, SHARE = 0.5, 0.1  # of the air's sensor; by which its place differs
 
@@ -316,7 +316,7 @@ def _row(facts: BoxFacts) -> str:
 
 
 def sibling(design: BoxFacts, number: int) -> BoxFacts:
-    """Build a design once more, in a room of its own. number : of the box, 1 or more"""
+    """Build a design once more, in another room. number : of the box, 1 or more"""
     seed = 1000 * design.seed + number
     hand = Hand(seed)
     hand.rng = np.random.default_rng([seed, SALT])

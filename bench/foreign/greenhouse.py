@@ -1,4 +1,4 @@
-"""The user's own greenhouse: cases of the virtual board's chamber, with an effect that nobody told its owner.
+"""The user's own greenhouse: cases of the virtual board's chamber, with an effect that the twin lacks.
 
 The chamber has many nodes where the twin has few; some of what it has besides acts in some cases. Runs are
 driven without a board in between. `imperfect_mixing` is never hidden: the chamber's fan blows through both
@@ -73,7 +73,7 @@ SETTINGS: Mapping[str, Setting] = {
     "evapotranspiration": Setting("plant.transpiration_w_kpa", 3.0, 40.0),
 }
 OF_FAN = ("fan_effectiveness", "infiltration", "short_circuit")  # a fitted fan would take them up
-OF_LAMP = ("led_gain", "evapotranspiration")  # nobody could name them without its column
+OF_LAMP = ("led_gain", "evapotranspiration")  # not identifiable without its column
 OF_POWER = ("heater_saturation", "heater_sag")  # several levels of the heater tell them
 
 

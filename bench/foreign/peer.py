@@ -107,6 +107,6 @@ def sparse(terms: Floats, heat_w: Floats) -> list[str]:
 
 def _fit(design: Floats, target: Floats, threshold: float) -> Floats:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that a threshold drops every term is no news
+        warnings.simplefilter("ignore")  # a threshold that drops every term is expected here
         found = pysindy.STLSQ(threshold=threshold, alpha=1e-3).fit(design, target[:, None])
     return np.asarray(found.coef_, dtype=np.float64).ravel()

@@ -175,7 +175,7 @@ def _bias(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[float]
 def _coverage(found: Mapping[str, Any], truth: Mapping[str, Any]) -> Iterable[bool]:
     for item in found["effects"]:
         for key, true in truth["hidden"].get(item["name"], {}).items():
-            own = item["parameters"].get(key)  # a peer tells no values
+            own = item["parameters"].get(key)  # a peer reports no values
             if own:
                 yield own["low"] is not None and own["low"] <= true <= own["high"]
 

@@ -1,4 +1,4 @@
-"""Keep the tests and their processes away from an installation on this machine: for them there is none.
+"""Keep the tests and their processes away from an installation on this machine: for them it does not exist.
 
 To ask whether such a place exists is answered with no. To open, list or change one, or to connect to it,
 is an error, and a line in the file that the variable OFFENCES names: `tests/conftest.py` fails the test then.
