@@ -1,8 +1,6 @@
-"""A dialogue with a board beside the daemon, in real time, for `greenhouse board` and `setup`."""
+"""A dialogue with a board outside the daemon, for `greenhouse board` and `setup`."""
 
 import random
-import select
-import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +8,7 @@ from types import TracebackType
 from typing import Any
 
 from edge.board.serial_port import OpenPort, PortGone, SerialPort
+from edge.core.clock import Clock, RealClock
 from edge.core.errors import RequestError
 from firmware_protocol.board_block import BLOCK_SIZE, PART_BYTES
 from firmware_protocol.link import (
@@ -64,14 +63,15 @@ class NobodyAnswers(RequestError):
 class BoardSession:
     """An open port with a board that has answered. Every method: Errors: RequestError"""
 
-    def __init__(self, path: str, open_port: OpenPort = SerialPort) -> None:
+    def __init__(self, path: str, open_port: OpenPort = SerialPort, clock: Clock | None = None) -> None:
         self.path = path
+        self.clock = clock or RealClock()
         self._drives = False  # an output has a lease of this session
         try:
             self._port = open_port(path, BAUDRATE)
         except PortGone as error:
             raise RequestError(f"{path}: {_why_not_open(path, str(error))}") from None
-        self._link = Link(session=random.getrandbits(32), now=time.monotonic())
+        self._link = Link(session=random.getrandbits(32), now=self.clock.now())
         try:
             self.hello = self._greet()
         except BaseException:
@@ -156,7 +156,7 @@ class BoardSession:
 
     def _ask(self, request: Message) -> Message:
         """Return the answer to a request."""
-        self._link.request(request, time.monotonic())
+        self._link.request(request, self.clock.now())
         found = self._wait((LinkEcho, LinkSetup), ANSWERED_S, "no answer", request)
         answer: Message = found.answer if isinstance(found, LinkSetup) else found.state
         return answer
@@ -173,8 +173,8 @@ class BoardSession:
 
         Errors: RequestError; TimeoutError where `problem` is empty
         """
-        end_s = time.monotonic() + patience_s
-        while time.monotonic() < end_s:
+        end_s = self.clock.now() + patience_s
+        while self.clock.now() < end_s:
             for event in self._take_events():
                 self._check(event, may_be_silent)
                 if isinstance(event, kinds) and (
@@ -199,8 +199,8 @@ class BoardSession:
     def _take_events(self) -> list[LinkEvent]:
         """Serve the line for a moment and return what happened."""
         try:
-            select.select([self._port], [], [], WAIT_S)
-            now = time.monotonic()
+            self.clock.wait(self._port, None, self.clock.now() + WAIT_S)
+            now = self.clock.now()
             events = self._link.receive(self._port.read(), now) + self._link.poll(now)
             outgoing = self._link.outgoing()
             if outgoing:

@@ -3,7 +3,6 @@
 The computer renews a short lease. So a killed process, a lost line or a hung terminal leaves nothing driven.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from statistics import fmean
@@ -175,10 +174,10 @@ def _drive(
     session: BoardSession, check: OutputCheck, command: CommandMessage, seconds: float, sensor: _Sensor
 ) -> bool | None:
     """Renew the lease until the effect is seen or the time is over; the last lease ends with the time."""
-    end_s = time.monotonic() + seconds
+    end_s = session.clock.now() + seconds
     lease_s = max(LEASE_S, 2.0 * session.hello.report_period_s)
     effect = None
-    while (left_s := end_s - time.monotonic()) > SHORTEST_S:
+    while (left_s := end_s - session.clock.now()) > SHORTEST_S:
         echo = session.drive(replace(command, lease_s=round(min(lease_s, left_s), 3)))
         _check_driven(check, command, echo)
         command = replace(command, valve_pulse_s=0.0)  # a renewal must not open the valve again
