@@ -26,7 +26,7 @@ run: $(VENV)/edge.installed
 	$(BIN)/greenhouse demo $(ARGS)
 
 test: $(VENV)/dev.installed tools
-	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 quick: $(VENV)/dev.installed
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" tests/edge tests/firmware_protocol tests/test_*.py $(ARGS)
