@@ -1,6 +1,6 @@
 # make run     the daemon against a virtual board, live; Ctrl-C ends it
 # make test    everything, on a clean machine too: installs what the tests need
-# make quick   the tests of edge/ and the protocol that take no seconds each (a minute)
+# make quick   the tests of edge/ and the protocol that take no seconds each (a minute and a half)
 # make lint    ruff and mypy
 # make docs    the manual, out/manual/index.html; every link and the generated reference are checked
 # make bench   the tables of the manual (up to an hour)
@@ -29,7 +29,7 @@ test: $(VENV)/dev.installed tools
 	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 quick: $(VENV)/dev.installed
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" tests/edge tests/firmware_protocol tests/test_*.py $(ARGS)
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m "not slow" tests/edge tests/firmware_protocol tests/test_*.py $(ARGS)
 
 lint: $(VENV)/dev.installed
 	$(BIN)/ruff check .

@@ -59,6 +59,7 @@ def trace(home: Path) -> Sequence[str]:
     return calls.read_text().splitlines()
 
 
+@pytest.mark.slow
 def test_loading_the_models_opens_no_socket_but_a_local_one(trace: Sequence[str]) -> None:
     assert any("lstm.onnx" in line for line in trace), "strace saw no model being loaded"
     assert [line for line in trace if re.search(r" (socket|connect|sendto|sendmsg)\((?!AF_UNIX)", line)] == []

@@ -168,6 +168,7 @@ def unchecked(block: BoardBlock, monkeypatch: pytest.MonkeyPatch) -> bytes:
         return encode_block(block)
 
 
+@pytest.mark.slow
 @settings(max_examples=600, deadline=None)
 @given(block=blocks)
 def test_both_sides_refuse_the_same_blocks(block):

@@ -334,6 +334,7 @@ KEYS = ("content", "refusal", "tool_calls", "function", "id", "name", "arguments
 MESSAGES = st.dictionaries(st.sampled_from(KEYS), JSON)
 
 
+@pytest.mark.slow
 @hypothesis_settings(suppress_health_check=[HealthCheck.too_slow])
 @given(MESSAGES, JSON, st.sampled_from(["stop", "length", "tool_calls", "content_filter", None]))
 def test_any_reply_is_read_or_refused(message: dict[str, Any], usage: Any, finish: str | None) -> None:
@@ -473,6 +474,7 @@ def test_over_budget_nothing_goes_over_the_line(tmp_path: Path) -> None:
     assert line.bodies == []
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(*[st.integers(0, 2000)] * 4), max_size=8))
 def test_a_day_never_goes_over_what_servers_keep_to(tmp_path_factory, exchanges) -> None:
     days = Days(tmp_path_factory.mktemp("budget"), tokens_per_day=3000)

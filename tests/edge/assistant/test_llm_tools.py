@@ -224,6 +224,7 @@ def test_the_connection_itself_takes_no_write(history: Path, query: str) -> None
         connection.execute(query).fetchall()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "query",
     [

@@ -140,6 +140,7 @@ def found() -> DiagnosisResult:
         return diagnose(Twin(twin_file()), [Run(run.path.name, run) for run in runs])
 
 
+@pytest.mark.slow
 def test_a_diagnosis_names_it(found: DiagnosisResult) -> None:
     assert found.verdict == "named"
     (effect,) = found.document["effects"]

@@ -153,6 +153,7 @@ def _write_for_ever(path: Path, content: bytes) -> None:
         write_atomically(path, content)
 
 
+@pytest.mark.slow
 def test_a_reader_sees_one_whole_file_whatever_two_killed_writers_did(tmp_path: Path) -> None:
     path, contents = tmp_path / "report.html", (OLD * 200, NEW[: 3 * 100_000])
     path.write_bytes(OLD * 200)

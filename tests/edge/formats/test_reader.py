@@ -224,6 +224,7 @@ def all_numbers_are_finite(value: object) -> bool:
     return False
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None)
 @given(DOCUMENTS)
 def test_any_values_are_a_document_or_that_one_error(document: object) -> None:
@@ -237,6 +238,7 @@ def test_any_values_are_a_document_or_that_one_error(document: object) -> None:
             assert all_numbers_are_finite(found)
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None)
 @given(st.one_of(st.text(), st.binary(), DOCUMENTS.map(json.dumps)))
 def test_any_json_text_is_a_document_or_that_one_error(text: str | bytes) -> None:
@@ -244,6 +246,7 @@ def test_any_json_text_is_a_document_or_that_one_error(text: str | bytes) -> Non
         read(Bicycle, parse_json(text))
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.one_of(st.text(), DOCUMENTS.map(lambda document: yaml.safe_dump(document, allow_unicode=True))))
 def test_any_yaml_text_is_a_document_or_that_one_error(text: str) -> None:

@@ -154,6 +154,7 @@ def test_the_last_will_speaks_for_a_killed_process(broker):
         wait_for(lambda: listener.payloads(AVAILABILITY)[-1] == b"offline")
 
 
+@pytest.mark.slow
 def test_a_broker_that_is_down_at_the_start_is_waited_for(tmp_path):
     broker = Broker(tmp_path)
     with running(broker.port) as own:

@@ -67,6 +67,7 @@ def test_what_is_not_known_of_a_skill_is_null(history: sqlite3.Connection) -> No
     ).fetchall() == [("v1", 100, None, None, None, None)]
 
 
+@pytest.mark.slow
 def test_a_day_of_four_predictors_is_half_a_megabyte(history: sqlite3.Connection) -> None:
     horizons = (1, 5, 15, 30, 60)
     one = Forecast(dict.fromkeys(horizons, 25.123), dict.fromkeys(horizons, 0.123), outside=False)

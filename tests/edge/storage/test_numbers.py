@@ -127,6 +127,7 @@ def test_a_restart_on_a_full_disk_continues_the_numbers(small_disk: Path) -> Non
     assert numbers(path) == (set(range(1, 21)), set())
 
 
+@pytest.mark.slow
 @needs_mount
 @pytest.mark.parametrize("ticks", [3, 100])  # the latter more than wait for a disk
 def test_ticks_of_a_session_that_could_write_nothing_are_reported(small_disk: Path, ticks: int) -> None:

@@ -487,6 +487,7 @@ print(seq)
 """
 
 
+@pytest.mark.slow
 def test_a_full_disk_delays_the_ticks_and_loses_none(path: Path) -> None:
     root = Path(__file__).parents[3]
     done = subprocess.run(
