@@ -9,7 +9,7 @@ from types import ModuleType
 from edge.core.errors import RequestError
 
 HELP = "many rigs: one store, one page, bundles in waves"
-VERBS = {  # verb -> module with `add_VERB_arguments` and `run_VERB(settings, arguments)`, and its help
+VERBS = {  # verb -> module with `run_VERB(settings, arguments)`, maybe `add_VERB_arguments`, and its help
     "up": ("fleet.commands.machine", "start a fleet on this machine: authority, engines, page"),
     "down": ("fleet.commands.machine", "end it; its data stays unless it is erased"),
     "rig": ("fleet.commands.members", "add, list or remove the rigs that may come in"),
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             verb.add_argument("--settings", type=Path, default=SETTINGS, help=f"usual: {SETTINGS}")
         if name == called:
             module = _import(module_name)
-            getattr(module, f"add_{name}_arguments")(verb)
+            getattr(module, f"add_{name}_arguments", lambda parser: None)(verb)
             verb.set_defaults(run_verb=getattr(module, f"run_{name}"))
 
 

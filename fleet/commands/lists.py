@@ -34,10 +34,6 @@ def run_changes(settings: FleetSettings, arguments: argparse.Namespace) -> int:
     return 0
 
 
-def add_rigs_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add nothing."""
-
-
 def run_rigs(settings: FleetSettings, arguments: argparse.Namespace) -> int:
     """Print a line for each rig. Errors: DataError"""
     now = time.time()
@@ -49,10 +45,6 @@ def run_rigs(settings: FleetSettings, arguments: argparse.Namespace) -> int:
                 f"{rig.name:<24} {'online' if rig.is_there(now) else 'away':<8} {rig.kind or '-':<16} {shown}"
             )
     return 0
-
-
-def add_rules_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add nothing."""
 
 
 def run_rules(settings: FleetSettings, arguments: argparse.Namespace) -> int:

@@ -22,10 +22,6 @@ def serve_fleet(settings: FleetSettings) -> None:
         asyncio.run(server.serve(sockets=sockets))
 
 
-def add_serve_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add nothing."""
-
-
 def run_serve(settings: FleetSettings, arguments: argparse.Namespace) -> int:
     """Serve until Ctrl-C. Errors: ConfigError, DataError"""
     serve_fleet(settings)

@@ -6,7 +6,8 @@ Control goes on or ends safely, and what was recorded is not lost.
 import json
 import sqlite3
 import subprocess
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,16 @@ pytest_plugins = ["rig_places"]
 
 LEASE_S = 10.0  # firmware_protocol/PROTOCOL.md
 TICKS = f"{RIG}/history/tick"
+
+
+@contextmanager
+def rig_with_broker(folder: Path, *config: str) -> Iterator[tuple[Broker, Listener, DaemonProcess]]:
+    with (
+        Broker(folder, *config) as broker,
+        Listener(broker.port, TICKS) as listener,
+        DaemonProcess(folder, broker.port) as daemon,
+    ):
+        yield broker, listener, daemon
 
 
 def heats(board: VirtualBoard) -> bool:
@@ -75,14 +86,8 @@ def test_a_board_that_comes_late_dies_and_returns_is_told_and_found_each_time(fo
 
 
 @needs_mosquitto
-def test_control_goes_on_without_a_broker_and_all_ticks_arrive_afterwards(
-    folder: Path, board: VirtualBoard
-) -> None:
-    with (
-        Broker(folder, KEEPS_SESSIONS) as broker,
-        Listener(broker.port, TICKS) as listener,
-        DaemonProcess(folder, broker.port) as daemon,
-    ):
+def test_control_goes_on_without_a_broker_and_ticks_arrive_later(folder: Path, board: VirtualBoard) -> None:
+    with rig_with_broker(folder, KEEPS_SESSIONS) as (broker, listener, daemon):
         wait_for(lambda: len(heard(listener)) > 1)
         broker.stop()
         first = daemon.seq() + 1
@@ -101,11 +106,7 @@ def test_control_goes_on_without_a_broker_and_all_ticks_arrive_afterwards(
 
 @needs_mosquitto
 def test_what_a_killed_broker_lost_is_a_gap_that_a_resend_fills(folder: Path, board: VirtualBoard) -> None:
-    with (
-        Broker(folder) as broker,
-        Listener(broker.port, TICKS) as listener,
-        DaemonProcess(folder, broker.port) as daemon,
-    ):
+    with rig_with_broker(folder) as (broker, listener, daemon):
         wait_for(lambda: len(heard(listener)) > 1)
         broker.kill()
         daemon.wait_ticks(1)
@@ -163,14 +164,8 @@ def test_a_history_locked_by_another_process_loses_nothing(folder: Path, board: 
 
 
 @needs_mosquitto
-def test_a_killed_daemon_leaves_the_heater_off_and_goes_on_where_it_was(
-    folder: Path, board: VirtualBoard
-) -> None:
-    with (
-        Broker(folder, KEEPS_SESSIONS) as broker,
-        Listener(broker.port, TICKS) as listener,
-        DaemonProcess(folder, broker.port) as daemon,
-    ):
+def test_a_killed_daemon_leaves_no_heat_and_goes_on_where_it_was(folder: Path, board: VirtualBoard) -> None:
+    with rig_with_broker(folder, KEEPS_SESSIONS) as (broker, listener, daemon):
         assert daemon.ask("set_mode", mode="heat")["ok"]
         assert daemon.ask("set_reference", reference_c=33)["ok"]
         wait_for(lambda: saved(daemon).get("operation", {}).get("reference_c") == 33)

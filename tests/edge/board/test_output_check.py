@@ -188,8 +188,7 @@ def test_a_board_without_a_configuration_names_the_command_that_writes_one() -> 
 @contextmanager
 def session_of(board: VirtualBoard) -> Iterator[BoardSession]:
     """Return a session in lock-step with the board."""
-    clock = SimClock(board.control)
-    with closing(clock), BoardSession(str(board.port), clock=clock) as session:
+    with closing(SimClock(board.control)) as clock, BoardSession(str(board.port), clock=clock) as session:
         yield session
 
 
@@ -203,11 +202,6 @@ def quick(folder: Path) -> Iterator[VirtualBoard]:
 
 def heats(board: VirtualBoard) -> bool:
     return bool(board.truth()["pins"]["heater_relay"])
-
-
-def wait_until_off(board: VirtualBoard) -> None:
-    while heats(board):
-        time.sleep(0.1)
 
 
 @pytest.mark.slow
@@ -249,7 +243,8 @@ def test_an_unplugged_port_leaves_nothing_driven(board: VirtualBoard) -> None:
 
     with BoardSession(str(board.port)) as session, pytest.raises(RequestError, match=r"is gone|fell silent"):
         run_check(session, CHECKS["heater"], unplug)
-    wait_until_off(board)
+    while heats(board):
+        time.sleep(0.1)
 
 
 @pytest.mark.slow

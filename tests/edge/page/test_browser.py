@@ -240,9 +240,6 @@ def test_a_sensor_is_calibrated_step_by_step_and_back(rig) -> None:
     def state() -> dict:
         return daemon.ask("status")["calibration"]["soil_moisture"]
 
-    def tick_value() -> float:
-        return daemon.ask("status")["tick"]["readings"]["soil_moisture"]["value"]
-
     def card() -> str:
         return driver.find_element(By.CSS_SELECTOR, "section[aria-label=Calibration]").text
 
