@@ -27,7 +27,7 @@ from edge.core.hard_limits import (
 from edge.core.plain_text import quote
 from edge.formats.atomic_file import write_atomically
 from edge.formats.cross_check import Rule
-from edge.formats.input_file import MemoryFile
+from edge.formats.input_file import MemoryFile, read_text
 from edge.formats.reader import read_json
 from edge.twin import new_file
 from edge.twin.box_words import quantity, volume, wall
@@ -288,7 +288,7 @@ def twin_of(answers: SetupAnswers) -> str:
 def text_before(path: Path) -> str | None:
     """Return the text of a file, None where it is missing. Errors: DataError"""
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:

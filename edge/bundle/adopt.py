@@ -15,6 +15,7 @@ from edge.bundle.sign import ManifestFacts, sign_folder
 from edge.bundle.store import BundleStore
 from edge.core.errors import DataError, RequestError
 from edge.core.version import __version__
+from edge.formats.atomic_file import write_atomically
 from edge.formats.reader import parse_json, read_bytes
 from edge.models.pbm import read_twin
 from edge.twin.twin_file import TwinFile, read_twin_file
@@ -86,4 +87,4 @@ def _note(path: Path, adopted: dict[str, Any]) -> None:
         report = parse_json(read_bytes(path))
     except DataError:
         report = {}
-    path.write_text(json.dumps({**report, "adopted_twin": adopted}, indent=1) + "\n", encoding="utf-8")
+    write_atomically(path, json.dumps({**report, "adopted_twin": adopted}, indent=1) + "\n")

@@ -90,6 +90,7 @@ def load_policies(folder: Folder, manifest: Manifest) -> dict[str, OnnxPolicy]:
 
 PACKAGED_FOLDER = Path(__file__).parent.parent / "models" / "default_bundle"
 INTERVALS = "intervals.json"
+LOCK = "lock"
 _INCOMING = ".incoming"
 _DAMAGED = ".damaged"
 
@@ -190,7 +191,7 @@ class BundleStore:
 
         allow_older : the operator's word for a version below the newest that was installed
         """
-        with hold_lock(self.folder / "lock"):
+        with hold_lock(self.folder / LOCK):
             self._clear_garbage()
             admitted = self._admission(allow_older)
             incoming = self.folder / _INCOMING
@@ -210,7 +211,7 @@ class BundleStore:
 
     def change(self, step: Callable[[Roles], Roles]) -> Roles:
         """Take a step of edge/bundle/roles.py. Errors: RequestError, DataError for a bundle that is unfit"""
-        with hold_lock(self.folder / "lock"):
+        with hold_lock(self.folder / LOCK):
             before = self._roles_or_fresh()
             after = step(before)
             if after.active != before.active:

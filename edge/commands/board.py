@@ -9,6 +9,7 @@ from edge.board.board_tool import configuration, configure, flash, show
 from edge.board.wiring import wiring_svg, wiring_table
 from edge.commands.arguments import writing
 from edge.config.settings import BoardSettings
+from edge.formats.atomic_file import write_atomically
 
 HELPS = {
     "check": "read a board.yaml and print every wire that it means",
@@ -66,5 +67,5 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _draw(picture: str, out: Path) -> None:
     with writing(out):
-        out.write_text(picture, encoding="utf-8")
+        write_atomically(out, picture)
     print(f"{out}: the wires")

@@ -5,7 +5,6 @@ the store on the disk is changed, and the daemon follows at its next start.
 """
 
 import argparse
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,11 +17,12 @@ from edge.bundle.manifest import PACKAGED, Manifest
 from edge.bundle.predictors import loader
 from edge.bundle.proof import Prover
 from edge.bundle.roles import Roles
-from edge.bundle.store import BundleStore
+from edge.bundle.store import LOCK, BundleStore
 from edge.commands.which_rig import RIG_CONFIG
 from edge.config import loading as config
 from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
+from edge.formats.owner import as_owner
 from edge.sockets.client import NobodyListens, request
 
 POLL_S = 0.1
@@ -118,7 +118,7 @@ def install(store: BundleStore, settings: Settings, archive: BinaryIO, allow_old
 
     allow_older : the operator's word for a version below the newest that was installed
     """
-    with as_owner(store.folder):
+    with as_owner(store.folder / LOCK):
         version = store.install(archive, allow_older).version
     print(f"bundle {version} is installed{' (older versions were allowed)' if allow_older else ''}")
     reply = _ask(settings, "refresh-older" if allow_older else "refresh", version if allow_older else None)
@@ -134,7 +134,7 @@ def change(store: BundleStore, settings: Settings, action: str, version: str | N
     if reply is not None:
         print_serving(reply)
         return
-    with as_owner(store.folder):
+    with as_owner(store.folder / LOCK):
         roles = carry_out(store, action, version)
     print_roles(roles)
 
@@ -216,21 +216,3 @@ def _told_of(source: Path) -> Iterator[None]:
         raise DataError(f"{source}: {error}") from error
     except OSError as error:  # of the place where it is unpacked
         raise DataError(f"{source}: {error.filename}: {error.strerror or error}") from error
-
-
-@contextmanager
-def as_owner(folder: Path) -> Iterator[None]:
-    """Root writes as the owner of the store, so that the daemon can change what root installed."""
-    if os.geteuid() != 0:
-        yield
-        return
-    while not folder.exists():
-        folder = folder.parent
-    owner = folder.stat()
-    os.setegid(owner.st_gid)
-    os.seteuid(owner.st_uid)
-    try:
-        yield
-    finally:
-        os.seteuid(0)
-        os.setegid(0)

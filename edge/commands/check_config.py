@@ -22,7 +22,7 @@ from edge.config.secrets import read_secret
 from edge.config.settings import BundleSettings, ControlSocketSettings, MqttSettings, Settings
 from edge.core.errors import ConfigError, DataError, GreenhouseError
 from edge.formats.atomic_file import read_document
-from edge.formats.input_file import read_file
+from edge.formats.input_file import open_file, read_file
 from edge.tick.reference import make_reference
 
 SOCKET_PATH_MAX = 107  # bytes of a Unix socket's address, unix(7)
@@ -107,8 +107,11 @@ def _state_problem(path: Path) -> str:
 
 
 def _history_problem(path: Path) -> str:
-    with path.open("rb") as file:
-        begin = file.read(len(DATABASE))
+    try:
+        with open_file(path) as file:
+            begin = file.read(len(DATABASE))
+    except OSError as error:
+        return f"{path}: {error.strerror}"
     return "" if begin in (b"", DATABASE) else f"{path}: is not an SQLite database"
 
 

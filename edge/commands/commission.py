@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from edge.app.box import BEFORE, COMMISSION, description_of
 from edge.commands.arguments import number, writing
-from edge.commands.bundle import as_owner, change, install, settings_of, store_of
+from edge.commands.bundle import change, install, settings_of, store_of
 from edge.commands.experiment import rig_of
 from edge.commands.hands import Hands
 from edge.config.settings import Settings
@@ -25,7 +25,9 @@ from edge.core.controller_names import MPC_TWIN
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import TickRecord
 from edge.diagnosis.progress import TerminalProgress
-from edge.formats.atomic_file import write_atomically, write_document
+from edge.formats.atomic_file import make_folder, write_atomically, write_document
+from edge.formats.owner import as_owner
+from edge.formats.reader import read_bytes
 from edge.formats.run_file import RecordedRun, absence_facts, read_run, write_run
 from edge.sockets.client import NobodyListens, request
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
@@ -79,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     dated = Path(f"commissioning-{datetime.now(UTC):%Y-%m-%d_%H%M}")
     folder = arguments.go_on or arguments.out or dated
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     recorded = read_run(arguments.from_run) if arguments.from_run else _record(arguments, start, folder)
     if recorded.facts.get(STOPPED) and not arguments.from_run:
         raise RequestError(
@@ -189,7 +191,7 @@ def keep(twin: TwinFile, place: Path) -> None:
     with writing(place):
         # A description in its place is newer than the one beside it: setup has asked for the box again.
         if place.exists() and (not before.exists() or read_twin_file(place).to_fit()):
-            write_atomically(before, place.read_bytes())
+            write_atomically(before, read_bytes(place))
         write_twin_file(twin, place)
     print(f"{place}: the learned twin, from which safety takes its bounds; the description is {before}")
 
@@ -218,7 +220,7 @@ def _activate(found: "Commissioned", folder: Path, key: Path, settings: Settings
     now = time.time()
     models, archive = folder / "models", folder / "bundle.zip"
     with writing(folder):
-        models.mkdir(exist_ok=True)
+        make_folder(models)
         write_twin_file(found.twin, models / "twin.yaml")
         if found.arx is not None:
             write_arx(found.arx.model, models / "arx.json", {"command": COMMISSION})
@@ -262,6 +264,6 @@ def _choose(settings: Settings) -> None:
         raise RequestError(f"{standing.broken}: choose `greenhouse controller {CONTROLLER}` yourself")
     chosen = replace(standing, operation=replace(standing.operation, controller=CONTROLLER))
     place = STANDING.place(settings)
-    with as_owner(place.parent):  # root may have a umask that shuts the daemon out
+    with as_owner(place):  # root may have a umask that shuts the daemon out
         write_document(place, STANDING.encode(chosen))
     print(f"{CONTROLLER} controls from the daemon's next start on: `sudo systemctl start greenhouse`")

@@ -8,6 +8,7 @@ from edge.commands.arguments import writing
 from edge.core.errors import RequestError
 from edge.core.plain_text import plain
 from edge.data_intake.look import UNKNOWN, LogLook
+from edge.formats.atomic_file import make_folder
 
 HEIGHT_IN = 1.1  # of a column's strip
 
@@ -133,7 +134,7 @@ def _convert(arguments: argparse.Namespace) -> int:
 
     mapping = read_map(arguments.map)
     with writing(arguments.out):
-        arguments.out.mkdir(parents=True, exist_ok=True)
+        make_folder(arguments.out)
         for path in arguments.files:
             for place, rows in convert(path, mapping, arguments.out):
                 print(f"{place}: {rows} rows")

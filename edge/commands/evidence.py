@@ -5,11 +5,11 @@ import time
 from pathlib import Path
 
 from edge.commands.arguments import writing
-from edge.commands.bundle import as_owner, settings_of, store_of
+from edge.commands.bundle import settings_of, store_of
 from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import Settings
 from edge.core.errors import RequestError
-from edge.evidence.chain import extend_chain, rig_facts, seal_chain, start_chain
+from edge.evidence.chain import LOCK, extend_chain, rig_facts, seal_chain, start_chain
 from edge.evidence.chain_files import ChainDay
 from edge.evidence.marks import BEGIN, END, EvidenceMark, add_mark
 from edge.evidence.proof import open_record
@@ -17,6 +17,7 @@ from edge.evidence.protocol import PHASES
 from edge.evidence.record_table import RecordCollector
 from edge.evidence.report import proof_lines, report
 from edge.formats.atomic_file import write_atomically
+from edge.formats.owner import as_owner
 
 ACTIONS = {  # action -> help
     "start": "begin a record: bind the signer, the newest tick and the thresholds",
@@ -66,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         case _:
             settings = settings_of(arguments.config)
             folder = arguments.folder or settings.history.evidence
-            with as_owner(folder):
+            with as_owner(folder / LOCK):
                 _grow(arguments, settings, folder)
     return 0
 

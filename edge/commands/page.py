@@ -12,6 +12,7 @@ from edge.commands.bundle import settings_of
 from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import Settings
 from edge.core.errors import ConfigError, RequestError
+from edge.formats.owner import become_owner
 from edge.page.access import DAY_S, LINK_DAYS_MAX, ROLES, Access, Role
 from edge.page.address import address
 from edge.page.alarms import trial
@@ -22,8 +23,8 @@ ACTIONS = {
     "pair": "open the page to the network, and print a link for one browser",
     "link": "print a link to hand on, by default to view for a week",
     "person": "set the password of somebody who logs in by name",
-    "sessions": "list the browsers that have a session",
-    "revoke": "end a session, or all sessions and links",
+    "sessions": "list the browsers that have a session, the links and the people",
+    "revoke": "end a session, a link, a person's password, or all sessions and links",
     "test-alarm": "have the running page send a test message by each channel, and say how it went",
 }
 TRIAL_LOOK_S = 0.2  # between two looks whether the page has answered
@@ -50,13 +51,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     person.add_argument(
         "--role", choices=ROLES, default=Role.OPERATE.word, help="what they may; default: %(default)s"
     )
-    revoke.add_argument("session", type=int, nargs="?", help="its number; default: all")
+    ends = revoke.add_mutually_exclusive_group()
+    ends.add_argument("session", type=int, nargs="?", help="its number; default: all sessions and links")
+    ends.add_argument("--link", type=int, metavar="N", help="this link, and the sessions that began by it")
+    ends.add_argument("--person", metavar="NAME", help="this person's password and sessions")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve until Ctrl-C, or do what the action says."""
     settings = settings_of(arguments.config)
     access = Access.of(settings.page.folder)
+    become_owner(access.path)
     match arguments.action:
         case None:
             _serve(arguments.config)
@@ -70,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         case "sessions":
             _print_sessions(access)
         case "revoke":
-            print(f"{access.revoke(arguments.session)} sessions ended")
+            print(f"{len(_revoke(access, arguments))} sessions ended")
         case "test-alarm":
             return _test_alarm(settings, access)
     return 0
@@ -122,9 +127,25 @@ def ask_password() -> str:
     return first
 
 
+def _revoke(access: Access, given: argparse.Namespace) -> list[int]:
+    """Errors: RequestError for what is not there"""
+    for kind, key in (("sessions", given.session), ("links", given.link), ("people", given.person)):
+        if key is not None:
+            if access.role_of(kind, key) is None:
+                raise RequestError(f"there is no {key}: `greenhouse page sessions` lists what there is")
+            return access.revoke(kind, key)
+    return access.revoke_all()
+
+
 def _print_sessions(access: Access) -> None:
     for row in access.sessions():
         seen = datetime.fromtimestamp(float(str(row["seen_utc"])))
         print(
             f"{row['session']:4}  {row['role']:8}{row['name']:20}seen {seen:%Y-%m-%d %H:%M}  {row['browser']}"
         )
+    for row in access.links():
+        left = "any number of browsers" if row["uses_left"] is None else f"{row['uses_left']} more browsers"
+        until = datetime.fromtimestamp(float(str(row["expires_utc"])))
+        print(f"link {row['link']}  {row['role']:8}{row['name']:20}{left} until {until:%Y-%m-%d %H:%M}")
+    for row in access.people():
+        print(f"person  {row['role']:8}{row['name']}")

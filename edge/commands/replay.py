@@ -17,7 +17,7 @@ from edge.core.controller_names import MPC_TWIN
 from edge.core.errors import DataError
 from edge.core.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
 from edge.core.messages import TickRecord
-from edge.formats.atomic_file import write_atomically
+from edge.formats.atomic_file import make_folder, write_atomically
 from edge.formats.input_file import TABLE, read_text
 from edge.formats.reader import DocumentError, parse_json
 from edge.formats.run_file import read_run
@@ -148,5 +148,5 @@ def _read(path: Path) -> list[dict[str, Any]]:
 
 
 def _write(path: Path, records: Sequence[TickRecord]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     write_atomically(path, "".join(json.dumps(tick_json(record)) + "\n" for record in records))

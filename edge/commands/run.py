@@ -15,6 +15,7 @@ from edge.commands.arguments import add_config
 from edge.config import loading as config
 from edge.core.clock import RealClock
 from edge.core.messages import TickRecord
+from edge.formats.owner import become_owner
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,6 +42,7 @@ class _Report:
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGTERM or Ctrl-C; one line per tick on standard output."""
     settings, clock, report = config.load(arguments.config), RealClock(), _Report()
+    become_owner(settings.state_file)  # where root starts it by hand
     folder = os.environ.get(REQUESTS_VARIABLE)
     desk = CommissionDesk(settings, arguments.config, BackgroundProcess(Path(folder) if folder else None))
     with standard_output() as out:

@@ -23,10 +23,10 @@ from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
 from edge.core.names import SIGNALS
 from edge.core.plain_text import plain, quote
-from edge.formats.atomic_file import write_atomically
+from edge.formats.atomic_file import move, write_atomically
 from edge.formats.cross_check import Rule
 from edge.formats.input_file import MODEL
-from edge.formats.reader import Foreign, read_json
+from edge.formats.reader import Foreign, read_bytes, read_json
 from edge.models.pbm import read_twin
 
 DIAGNOSIS, TWIN = "diagnosis.json", "twin.yaml"
@@ -155,7 +155,7 @@ def _back(arguments: argparse.Namespace) -> None:
         if not before.exists():
             raise RequestError(f"{before}: is not there, so nothing was replaced")
         with writing(arguments.to):
-            before.replace(arguments.to)
+            move(before, arguments.to)
         print(f"{arguments.to}: as before")
         return
     settings = settings_of(arguments.config)
@@ -168,8 +168,8 @@ def _replace(twin: Path, target: Path) -> None:
         if target.exists():
             if target.resolve() == twin.resolve():
                 raise RequestError(f"--to: {target} is the file of the report itself")
-            write_atomically(_before(target), target.read_bytes())
-        write_atomically(target, twin.read_bytes())
+            write_atomically(_before(target), read_bytes(target))
+        write_atomically(target, read_bytes(twin))
     kept = f"; the one before is {_before(target)}" if _before(target).exists() else ""
     print(f"{target}: {twin}{kept}")
 

@@ -16,6 +16,7 @@ from edge.config import loading as config
 from edge.core.processes import processors
 from edge.diagnosis.progress import TerminalProgress
 from edge.diagnosis.report.summary import summary_text
+from edge.formats.atomic_file import make_folder
 from edge.twin.twin_file import read_twin_file, write_twin_file
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
     limits = _limits(arguments.config, file.geometry["heater_max_w"].value)
     command = shlex.join(["greenhouse", *sys.argv[1:]])
     with writing(arguments.out):
-        arguments.out.mkdir(parents=True, exist_ok=True)
+        make_folder(arguments.out)
     with TerminalProgress() as progress:
         found = diagnose(file, data, progress, command, arguments.jobs)
         progress("where it disagrees", 0.96)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from edge.commands.arguments import add_absent_columns, number, whole, writing
 from edge.core.errors import DataError, RequestError
 from edge.diagnosis.readings import plausible_run
+from edge.formats.atomic_file import make_folder
 from edge.formats.number_table import print_table, read_table
 from edge.formats.run_file import RecordedRun, inside_names, resample, write_run
 from edge.formats.run_lines import OPTION_WITHOUT
@@ -160,7 +161,7 @@ def _outs(runs: Sequence[Path], out: Path | None) -> list[Path | None]:
         outs = [out]
     else:
         with writing(out):
-            out.mkdir(parents=True, exist_ok=True)
+            make_folder(out)
         outs = [out / path.name for path in runs]
     if len(set(outs)) < len(outs):
         raise RequestError("--out: two runs have one name; simulate them one by one")

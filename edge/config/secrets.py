@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from edge.core.errors import ConfigError
+from edge.formats.input_file import open_file
 
 SIZE_MAX = 4096  # [bytes]
 FORBIDDEN_MODE = 0o037  # a secret file: group may read, others nothing, nobody but the owner writes
@@ -41,7 +42,7 @@ def read_secret(name: str, setting: str) -> Secret:
     """Read a secret without the newline at its end. Errors: ConfigError, which never holds the text"""
     path = secret_path(name, setting)
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             raw = file.read(SIZE_MAX + 1)
         text = raw.decode().removesuffix("\n").removesuffix("\r")
     except OSError as error:

@@ -45,6 +45,9 @@ class PageSettings(Section):
         "further names by which browsers reach it, such as a proxy's; its address and this machine's name do",
         "greenhouse.example.org",
     )
+    proxies: tuple[str, ...] = items(
+        "addresses of proxies before it, which name the browser's address in X-Forwarded-For", "127.0.0.1"
+    )
     folder: str = text("/var/lib/greenhouse-page", "who may do what lives here")
     certificate: str = text("", "certificate for https, PEM; empty: http")
     key_file: str = text("", "its key, PEM")

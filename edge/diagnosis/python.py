@@ -138,7 +138,6 @@ class DiagnosisResult:
     def report(self, folder: str | Path) -> Path:
         """Write the report's page with its pictures and diagnosis.json; the page. Errors: OSError"""
         where = Path(folder)
-        where.mkdir(parents=True, exist_ok=True)
         write_report(where, Story(self.document, traces(self.diagnosis, self.places)))
         return where / PAGE_NAME
 

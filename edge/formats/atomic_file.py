@@ -16,30 +16,45 @@ from pathlib import Path
 from typing import Any
 
 from edge.core.errors import DataError
+from edge.formats.owner import as_owner
 from edge.formats.reader import parse_json, read_bytes
 
 # Answers of file systems and kernels that have no files without a name (NFS, exFAT, an old overlay).
 _NEEDS_A_NAME = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL)
+
+_PLAIN = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # no link is followed, and no FIFO waited for
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
     """Replace the file at `path`, on the disk itself when the call returns.
 
     Mode and owner of the file before are preserved. A link stays, and the file that it points to is
-    replaced. A device or a FIFO is written directly.
+    replaced. A device is written directly, as is a FIFO that somebody reads.
 
     content : text is written as UTF-8
     Errors : OSError, which names `path`; the file before is untouched then
     """
     data = content.encode() if isinstance(content, str) else content
     try:
-        before = _status(path)
-        if before is not None and not stat.S_ISREG(before.st_mode):
-            path.write_bytes(data)
-        else:
-            _replace(Path(os.path.realpath(path)), data, before)
+        with as_owner(path):
+            before = _status(path)
+            if before is not None and not stat.S_ISREG(before.st_mode):
+                _write_directly(path, data)
+            else:
+                _replace(Path(os.path.realpath(path)), data, before)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def open_to_overwrite(path: Path, mode: int = 0o640) -> int:
+    """Return a descriptor that writes over a regular file in place, made if it is missing. Errors: OSError"""
+    make_folder(path.parent)
+    with as_owner(path):
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | _PLAIN, mode)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return descriptor
 
 
 def sync_folder(path: Path) -> None:
@@ -56,14 +71,16 @@ def make_folder(path: Path) -> None:
     if path.is_dir():
         return
     make_folder(path.parent)
-    path.mkdir(exist_ok=True)
-    sync_folder(path.parent)
+    with as_owner(path):
+        path.mkdir(exist_ok=True)
+        sync_folder(path.parent)
 
 
 def move(path: Path, target: Path) -> None:
     """Rename within one folder, wholly or not at all even in a power cut. Errors: OSError"""
-    path.rename(target)
-    sync_folder(target.parent)
+    with as_owner(target):
+        path.rename(target)
+        sync_folder(target.parent)
 
 
 @contextmanager
@@ -74,7 +91,8 @@ def hold_lock(path: Path) -> Iterator[None]:
     """
     try:
         make_folder(path.parent)
-        descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        with as_owner(path):
+            descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | _PLAIN, 0o640)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
             yield
@@ -89,6 +107,15 @@ def _status(path: Path) -> os.stat_result | None:
         return path.stat()
     except FileNotFoundError:
         return None
+
+
+def _write_directly(path: Path, data: bytes) -> None:
+    descriptor = os.open(
+        path, os.O_WRONLY | os.O_CLOEXEC | os.O_NONBLOCK
+    )  # a FIFO without a reader is refused
+    os.set_blocking(descriptor, True)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(data)
 
 
 def _open_folder(path: Path) -> int:
@@ -173,6 +200,7 @@ def read_document(path: Path) -> dict[str, Any] | None:
 
 def write_document(path: Path, values: dict[str, Any]) -> None:
     """Replace the file whole. Errors: OSError."""
-    if not path.is_file():  # a FIFO, or a link to a device, would swallow the values
-        path.unlink(missing_ok=True)
+    with as_owner(path):
+        if not path.is_file():  # a FIFO, or a link to a device, would swallow the values
+            path.unlink(missing_ok=True)
     write_atomically(path, json.dumps(values, indent=1))

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from edge.formats.owner import as_owner
+
 YAML = 128 << 10  # the parser takes a second for so much [bytes]
 SMALL = 1 << 20  # settings, states, manifests, keys, reports [bytes]
 MODEL = 16 << 20  # ten times what a network of this project takes [bytes]
@@ -53,7 +55,8 @@ def open_file(path: Path) -> BinaryIO:
     """Open a regular file, for readers that take less than all of it. Errors: OSError as `read_file`."""
     if "\0" in str(path):
         raise OSError(errno.EINVAL, "a NUL in the path")
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # opening a FIFO would wait
+    with as_owner(path):
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # opening a FIFO would wait
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OSError(errno.EINVAL, "not a regular file")

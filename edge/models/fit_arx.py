@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
+from edge.formats.input_file import TABLE, read_file
 from edge.formats.run_file import RecordedRun, refuse_test, resample
 from edge.models.arx import Arx, FanInput
 
@@ -133,7 +134,7 @@ def provenance(
 
 
 def _sha256(path: Path | None) -> str:
-    return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+    return "" if path is None else hashlib.sha256(read_file(path, TABLE)).hexdigest()
 
 
 def _columns(run: RecordedRun, step_s: float, inputs: Sequence[str]) -> dict[str, Floats]:

@@ -13,10 +13,12 @@ from edge.core.errors import RequestError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
 from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.reader import DocumentError, parse_json, read
+from edge.tick.inbox import asks_to_stop
 from edge.tick.orders import FanMode, Mode, SetManual
 
 Request = dict[str, Any]
 
+STOP = "emergency_stop"
 PAYLOAD_MAX = 1024  # [bytes]
 SEQ_MAX = 2**63 - 1  # SQLite's largest integer
 Seq = Annotated[int, Rule(low=1, high=SEQ_MAX)]
@@ -60,15 +62,19 @@ def parse(what: str, payload: bytes, reference: ReferenceSettings) -> Request:
     reference : gives the range of temperatures an operator may ask for
     Errors : RequestError with a text for the sender
     """
+    if what == STOP:
+        return _stop(payload)
     parser = _PARSERS.get(what)
     if parser is None:
-        raise RequestError(f"unknown command; known: {', '.join(_PARSERS)}")
+        raise RequestError(f"unknown command; known: {', '.join(COMMANDS)}")
     if len(payload) > PAYLOAD_MAX:
         raise RequestError(f"payload is longer than {PAYLOAD_MAX} bytes")
     try:
         text = payload.decode()
     except UnicodeDecodeError:
         raise RequestError("payload is not UTF-8") from None
+    if what in ("mode", "ask") and asks_to_stop(text):
+        return {"do": STOP}
     return parser(text, reference)
 
 
@@ -117,15 +123,16 @@ def _wish(text: str, reference: ReferenceSettings) -> Request:
     return {"do": "ask", "words": text}
 
 
-def _stop(text: str, reference: ReferenceSettings) -> Request:
+def _stop(payload: bytes) -> Request:
     """`OFF` releases, so that one switch does both; `release_emergency_stop` does it too."""
-    _choice(text, (PRESS, ON, OFF))
-    return {"do": "emergency_stop"} if is_stop(text.encode()) else {"do": "release_emergency_stop"}
+    if not payload:
+        raise RequestError("an empty payload, as clearing a retained topic sends it: nothing was stopped")
+    return {"do": STOP} if is_stop(payload) else {"do": "release_emergency_stop"}
 
 
 def is_stop(payload: bytes) -> bool:
     """Return whether a payload on the stop's topic asks for a stop; one that is not understood does."""
-    return payload != OFF.encode()
+    return payload not in (b"", OFF.encode())
 
 
 def _on_proposal(do: str) -> Callable[[str, ReferenceSettings], Request]:
@@ -195,7 +202,6 @@ _PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
     "manual": _manual,
     "maintenance": _maintenance,
     "resend": _resend,
-    "emergency_stop": _stop,
     "release_emergency_stop": _press({"do": "release_emergency_stop"}),
     "clear_trip": _press({"do": "clear_trip"}),
     "follow_schedule": _press({"do": "set_reference", "reference_c": None}),
@@ -210,4 +216,4 @@ _PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
     "install_bundle": _install_bundle,
     "rollback_bundle": _rollback_bundle,
 }
-COMMANDS = tuple(_PARSERS)
+COMMANDS = (STOP, *_PARSERS)

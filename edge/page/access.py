@@ -1,6 +1,5 @@
 """Who may do what: links, sessions and passwords, in a SQLite file of the page's own."""
 
-import os
 import secrets
 import sqlite3
 import time
@@ -13,7 +12,9 @@ from typing import Self
 
 from edge.core.errors import DataError
 from edge.core.plain_text import plain
-from edge.page.secret_hashes import NOBODY, hash_secret, is_password, new_password, person_name
+from edge.formats.atomic_file import make_folder
+from edge.formats.owner import as_owner, open_database
+from edge.page.secret_hashes import hash_secret, is_password, new_password, person_name
 
 DAY_S = 86_400.0
 LINK_DAYS_MAX = 366.0
@@ -30,6 +31,9 @@ CREATE TABLE IF NOT EXISTS facts (key TEXT PRIMARY KEY, value TEXT);
 CREATE TABLE IF NOT EXISTS acknowledged (seq INTEGER, number INTEGER, name TEXT, utc REAL,
     PRIMARY KEY (seq, number)) WITHOUT ROWID;
 """
+
+
+RIGHTS = {"sessions": "id", "links": "id", "people": "name"}  # that can be taken back, by their key
 
 
 class Role(IntEnum):
@@ -50,11 +54,12 @@ ROLES = {role.word: role for role in Role}
 
 @dataclass(frozen=True, slots=True)
 class Visitor:
-    """Who has a session. name : as it stands beside their orders in the history"""
+    """Who has a session. name : as it stands beside their orders in the history; link : 0 without one"""
 
     session: int
     name: str
     role: Role
+    link: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +108,16 @@ class Access:
         """Begin a session by a password; None where name or password is wrong."""
         with self._writing() as db:
             found = db.execute("SELECT role, salt, password FROM people WHERE name = ?", (name,)).fetchone()
-        # Somebody who is not there takes as long to refuse as a wrong password.
-        role, salt, known = found or (Role.VIEW, *NOBODY)
-        if not is_password(password, salt, known):
+        if found is None or not is_password(password, *found[1:]):
             return None
+        role = found[0]
         with self._writing() as db:
             return self._begin(db, None, Role(role), name, browser, self.utc() + SESSION_S)
+
+    def has_person(self, name: str) -> bool:
+        """Return whether somebody logs in by this name."""
+        with self._reading() as db:
+            return db.execute("SELECT 1 FROM people WHERE name = ?", (name,)).fetchone() is not None
 
     def set_password(self, name: str, role: Role, password: str) -> None:
         """Let a person log in; sessions that they had under another password end. Errors: RequestError"""
@@ -131,26 +140,63 @@ class Access:
         session, name, role, seen_utc, link = found
         if now - seen_utc > SEEN_EVERY_S:
             self._note_visit(session, link, now)
-        return Visitor(session, name, Role(role))
+        return Visitor(session, name, Role(role), link or 0)
 
     def sessions(self) -> list[dict[str, object]]:
         """Return those that have not ended, the newest visit first; times in seconds since 1970."""
         with self._reading() as db:
             rows = db.execute(
-                "SELECT id, name, role, browser, made_utc, seen_utc, expires_utc FROM sessions"
+                "SELECT id, name, role, browser, made_utc, seen_utc, expires_utc, link FROM sessions"
                 " WHERE expires_utc > ? ORDER BY seen_utc DESC",
                 (self.utc(),),
             ).fetchall()
-        keys = ("session", "name", "role", "browser", "made_utc", "seen_utc", "expires_utc")
+        keys = ("session", "name", "role", "browser", "made_utc", "seen_utc", "expires_utc", "link")
         return [dict(zip(keys, row, strict=True)) | {"role": Role(row[2]).word} for row in rows]
 
-    def revoke(self, session: int | None = None) -> int:
-        """End a session, or all of them and all links. Returns how many sessions ended."""
+    def links(self) -> list[dict[str, object]]:
+        """Return the links by which somebody may enter, or has a session; times in seconds since 1970."""
+        with self._reading() as db:
+            rows = db.execute(
+                "SELECT id, name, role, made_utc, expires_utc, uses_left FROM links WHERE"
+                " (expires_utc > ? AND (uses_left IS NULL OR uses_left > 0))"
+                " OR id IN (SELECT link FROM sessions WHERE expires_utc > ?) ORDER BY id DESC",
+                (self.utc(), self.utc()),
+            ).fetchall()
+        keys = ("link", "name", "role", "made_utc", "expires_utc", "uses_left")
+        return [dict(zip(keys, row, strict=True)) | {"role": Role(row[2]).word} for row in rows]
+
+    def people(self) -> list[dict[str, object]]:
+        """Return who logs in by name."""
+        with self._reading() as db:
+            rows = db.execute("SELECT name, role FROM people ORDER BY name").fetchall()
+        return [{"name": name, "role": Role(role).word} for name, role in rows]
+
+    def revoke(self, kind: str, key: int | str) -> list[int]:
+        """End a session, a link with its sessions, or a person's password with theirs.
+
+        kind : a key of RIGHTS
+        Returns : the sessions that ended
+        """
+        of_it = {"sessions": "id = ?", "links": "link = ?", "people": "link IS NULL AND name = ?"}[kind]
         with self._writing() as db:
-            if session is not None:
-                return db.execute("DELETE FROM sessions WHERE id = ?", (session,)).rowcount
+            ended = db.execute(f"DELETE FROM sessions WHERE {of_it} RETURNING id", (key,)).fetchall()
+            db.execute(f"DELETE FROM {kind} WHERE {RIGHTS[kind]} = ?", (key,))
+        return [row[0] for row in ended]
+
+    def revoke_all(self) -> list[int]:
+        """End all sessions and links; passwords stay. Return the sessions."""
+        with self._writing() as db:
             db.execute("DELETE FROM links")
-            return db.execute("DELETE FROM sessions").rowcount
+            return [row[0] for row in db.execute("DELETE FROM sessions RETURNING id").fetchall()]
+
+    def role_of(self, kind: str, key: int | str) -> Role | None:
+        """Return the role of a session, link or person; None where there is none.
+
+        kind : a key of RIGHTS
+        """
+        with self._reading() as db:
+            found = db.execute(f"SELECT role FROM {kind} WHERE {RIGHTS[kind]} = ?", (key,)).fetchone()
+        return None if found is None else Role(found[0])
 
     def acknowledge(self, seq: int, number: int, name: str) -> None:
         """Note who has seen an alarm: event `number` of tick `seq`. The first one stays."""
@@ -201,7 +247,7 @@ class Access:
             row,
         )
         assert cursor.lastrowid is not None
-        return secret, Visitor(cursor.lastrowid, name, role)
+        return secret, Visitor(cursor.lastrowid, name, role, link or 0)
 
     def _note_visit(self, session: int, link: int | None, now: float) -> None:
         """Prolong a session, but not past the end of a link for many."""
@@ -214,9 +260,14 @@ class Access:
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            with closing(sqlite3.connect(self.path, timeout=BUSY_S, isolation_level=None)) as db:
-                self._keep_to_owner()
+            if not self.path.parent.is_dir():
+                make_folder(self.path.parent)
+                self.path.parent.chmod(0o700)
+            with (
+                as_owner(self.path),
+                closing(open_database(self.path, timeout=BUSY_S, isolation_level=None)) as db,
+            ):
+                self.path.chmod(0o600)
                 db.executescript(SCHEMA)
                 db.execute("BEGIN IMMEDIATE")
                 with db:  # commits, or rolls back
@@ -224,20 +275,13 @@ class Access:
         except (sqlite3.Error, OSError) as error:
             raise DataError(f"{self.path}: {error}") from error
 
-    def _keep_to_owner(self) -> None:
-        """Let the folder's owner alone read the file, also where root has made it."""
-        self.path.chmod(0o600)
-        owner = self.path.parent.stat()
-        if os.geteuid() == 0:
-            os.chown(self.path, owner.st_uid, owner.st_gid)
-
     @contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:
         try:
             if not self.path.exists():
                 with self._writing():
                     pass
-            with closing(sqlite3.connect(self.path, timeout=BUSY_S)) as db:
+            with closing(open_database(self.path, timeout=BUSY_S)) as db:
                 yield db
         except (sqlite3.Error, OSError) as error:
             raise DataError(f"{self.path}: {error}") from error

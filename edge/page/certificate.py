@@ -5,6 +5,7 @@ from pathlib import Path
 
 from edge.config.settings import PageSettings
 from edge.core.errors import ConfigError
+from edge.formats.input_file import read_file
 
 EXPIRED = 10  # X509_V_ERR_CERT_HAS_EXPIRED, openssl/x509_vfy.h
 
@@ -18,7 +19,7 @@ def check_certificate(page: PageSettings) -> None:
         return
     for setting, file in (("certificate", page.certificate), ("key_file", page.key_file)):
         try:
-            Path(file).read_bytes()
+            read_file(Path(file))
         except OSError as error:
             raise ConfigError(f"page.{setting}: {file}: {error.strerror}") from error
     _check_dates(_client_of(page), _server_of(page), page.certificate)

@@ -16,6 +16,7 @@ from edge.page.answers import NotAllowed, answer, document, in_thread, number, p
 from edge.page.orders import NEEDS, problem
 from edge.page.page_state import Page
 from edge.page.questions import options
+from edge.tick.inbox import as_stop
 
 STREAMS_MAX, STREAMS_OF_ONE = 40, 4
 BEAT_S = 5.0  # between two signs of life on a quiet stream
@@ -113,13 +114,13 @@ async def stop(page: Page, request: Request, visitor: Visitor) -> Response:
 
 async def order(page: Page, request: Request, visitor: Visitor) -> Response:
     """Pass an order on to the daemon, with its author."""
-    given = await document(request)
+    given = as_stop(await document(request))
     if reason := problem(given, visitor.role):
         known = isinstance(given.get("do"), str) and given["do"] in NEEDS
         raise NotAllowed(HTTPStatus.FORBIDDEN if known else HTTPStatus.BAD_REQUEST, reason)
     if given["do"] == "emergency_stop":
         return await stop(page, request, visitor)
-    return passed_on(await page.rig.ask(given | {"by": _author(visitor)}))
+    return passed_on(await page.rig.ask({**given, "by": _author(visitor)}))
 
 
 def _author(visitor: Visitor) -> str:

@@ -5,6 +5,7 @@ import contextlib
 import ctypes
 import socket
 from collections.abc import Iterator
+from functools import partial
 
 import uvicorn
 
@@ -73,14 +74,15 @@ def config_of(app: Guard, page: PageSettings) -> uvicorn.Config:
     check_certificate(page)
     return uvicorn.Config(
         app,
-        http=ImpatientProtocol,
+        http=partial(ImpatientProtocol, proxies=page.proxies),  # type: ignore[arg-type]
         loop="asyncio",
         ws="none",
         log_level="error",  # a warning for each broken request would let strangers wear the card
         access_log=False,
         server_header=False,
-        proxy_headers=False,
-        limit_concurrency=CONNECTIONS_MAX,
+        proxy_headers=bool(page.proxies),
+        forwarded_allow_ips=list(page.proxies),
+        limit_concurrency=CONNECTIONS_MAX + BACKLOG,  # the protocol makes room before
         backlog=BACKLOG,
         h11_max_incomplete_event_size=HEAD_MAX,
         timeout_keep_alive=KEEP_ALIVE_S,

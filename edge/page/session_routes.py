@@ -1,5 +1,6 @@
 """Routes of visitors: enter, leave, who has a session, links for others."""
 
+import re
 from http import HTTPStatus
 
 from starlette.requests import Request
@@ -7,8 +8,9 @@ from starlette.responses import Response
 
 from edge.config.settings import Settings
 from edge.core.errors import RequestError
+from edge.core.plain_text import plain
 from edge.core.version import __version__
-from edge.page.access import DAY_S, LINK_DAYS_MAX, ROLES, Role, Visitor
+from edge.page.access import DAY_S, LINK_DAYS_MAX, RIGHTS, ROLES, Role, Visitor
 from edge.page.answers import Json, NotAllowed, answer, document, in_thread, number, text
 from edge.page.cookie import delete_cookie, set_cookie
 from edge.page.orders import NEEDS
@@ -25,7 +27,11 @@ async def enter(page: Page, request: Request, _: Visitor) -> Response:
     else:
         name, password = text(given, "name", 40), text(given, "password")
         page.tries.take(request.client.host if request.client else "", name)
-        begun = await in_thread(page.access.log_in, name, password, browser, places=page.tries.places)
+        begun = None
+        if await in_thread(page.access.has_person, name):
+            begun = await page.tries.check(page.access.log_in, name, password, browser)
+        else:
+            await page.tries.pretend()
         wrong = "name or password is wrong"
     if begun is None:
         raise NotAllowed(HTTPStatus.UNAUTHORIZED, wrong)
@@ -37,7 +43,7 @@ async def enter(page: Page, request: Request, _: Visitor) -> Response:
 
 async def leave(page: Page, request: Request, visitor: Visitor) -> Response:
     """End the visitor's own session."""
-    await in_thread(page.access.revoke, visitor.session)
+    await in_thread(page.access.revoke, "sessions", visitor.session)
     response = answer(ok=True)
     delete_cookie(response)
     return response
@@ -64,18 +70,36 @@ def _me(visitor: Visitor) -> Json:
 
 
 async def sessions(page: Page, request: Request, visitor: Visitor) -> Response:
-    """Return all sessions."""
-    return answer(ok=True, sessions=await in_thread(page.access.sessions))
+    """Return all sessions, links and people; for one who operates, those that only look."""
+    found = {kind: await in_thread(getattr(page.access, kind)) for kind in RIGHTS}
+    if visitor.role < Role.ADMIN:
+        found = {kind: [row for row in rows if row["role"] == Role.VIEW.word] for kind, rows in found.items()}
+    return answer(ok=True, **found)
 
 
 async def revoke(page: Page, request: Request, visitor: Visitor) -> Response:
-    """End a session, of whomever."""
-    session = request.path_params["session"]
-    if not await in_thread(page.access.revoke, session):
-        raise RequestError(f"there is no session {session}")
-    for ended in page.streams.get(session, ()):
-        ended.set()
+    """End a session, a link with its sessions, or a person's password with theirs.
+
+    One who operates may end what only looks: a link whose holder stops the rig again and again.
+    """
+    kind, key = request.path_params["kind"], request.path_params["key"]
+    if kind not in RIGHTS:
+        raise NotAllowed(HTTPStatus.NOT_FOUND, f"{kind}: one of {', '.join(RIGHTS)}")
+    given = key if kind == "people" else _row(key)
+    role = await in_thread(page.access.role_of, kind, given)
+    if role is None:
+        raise RequestError(f"{kind}: there is no {plain(key)}")
+    if role > Role.VIEW and visitor.role < Role.ADMIN:
+        raise NotAllowed(HTTPStatus.FORBIDDEN, f"to end the role {role.word} needs the role admin")
+    for session in await in_thread(page.access.revoke, kind, given):
+        for ended in page.streams.get(session, ()):
+            ended.set()
     return answer(ok=True)
+
+
+def _row(key: str) -> int:
+    """Return the number of a row, 0 for what can be none."""
+    return int(key) if re.fullmatch("[0-9]{1,18}", key, re.ASCII) else 0
 
 
 async def make_link(page: Page, request: Request, visitor: Visitor) -> Response:

@@ -24,7 +24,7 @@ from edge.formats.reader import DocumentError, parse_json
 from edge.sockets.client import encode_line
 from edge.sockets.stop_file import StopFile
 from edge.sockets.unix_socket import listen
-from edge.tick.inbox import is_in_force, is_urgent
+from edge.tick.inbox import as_stop, asks_to_stop, is_in_force, is_urgent
 from edge.tick.status import reply_json
 
 Ask = Callable[[Mapping[str, Any]], dict[str, Any]]
@@ -269,10 +269,13 @@ class ControlSocket:
             client.answer(_error(f"request is longer than {LINE_MAX} bytes"))
             return
         try:
-            question = _Question(client, parse_json(line, "request"))
+            request = as_stop(parse_json(line, "request"))
         except DocumentError as error:
-            client.answer(_error(str(error)))
-            return
+            if not asks_to_stop(line.decode(errors="replace")):
+                client.answer(_error(str(error)))
+                return
+            request = {"do": "emergency_stop"}
+        question = _Question(client, request)
         client.waits_for = question
         if question.is_urgent:
             self._post(question.request, partial(self._answer, question))

@@ -5,13 +5,14 @@ off by itself when the lease ends. The file sees to it that nothing heats again 
 another one starts after a kill or a power cut.
 """
 
-import json
 import time
 from contextlib import suppress
 from pathlib import Path
 
 from edge.core.plain_text import plain
-from edge.formats.atomic_file import make_folder, sync_folder, write_atomically
+from edge.formats.atomic_file import make_folder, sync_folder, write_document
+from edge.formats.input_file import open_file
+from edge.formats.owner import as_owner
 from edge.formats.reader import DocumentError, parse_json
 
 FILE = "stop.json"
@@ -28,12 +29,12 @@ class StopFile:
     def leave(self, author: str) -> None:
         """Ask for a stop, on the disk when the call returns. Errors: OSError"""
         make_folder(self._path.parent)
-        write_atomically(self._path, json.dumps({"by": author, "utc": time.time()}))
+        write_document(self._path, {"by": author, "utc": time.time()})
 
     def author(self) -> str | None:
         """Return who asks for a stop, None where nobody does. A file that cannot be read is one, too."""
         try:
-            with self._path.open("rb") as file:
+            with open_file(self._path) as file:
                 found = parse_json(file.read(CONTENT_MAX), FILE)
         except (FileNotFoundError, NotADirectoryError):
             return None
@@ -43,6 +44,6 @@ class StopFile:
 
     def take_away(self) -> None:
         """Remove it: the stop is in force, and outlives this process. One that cannot be removed stays."""
-        with suppress(OSError):
+        with suppress(OSError), as_owner(self._path):
             self._path.unlink()
             sync_folder(self._path.parent)

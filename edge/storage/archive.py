@@ -9,6 +9,7 @@ from pathlib import Path
 
 from edge.core.hard_limits import STEP_MIN_S
 from edge.core.messages import TickRecord
+from edge.formats.owner import open_database
 from edge.storage.facts import insert_learnt
 from edge.storage.file import SliceCheck, Unusable, connect, identity
 from edge.storage.retention import RetentionSettings, thin
@@ -160,7 +161,7 @@ class Archive:
         """See the file as a newcomer does: this connection's cache can hide for long that it is broken."""
         if identity(self.path) != self._identity:
             raise Unusable("it was deleted or exchanged")
-        with closing(sqlite3.connect(self.path, timeout=BUSY_S)) as newcomer:
+        with closing(open_database(self.path, timeout=BUSY_S)) as newcomer:
             newcomer.execute("SELECT max(seq) FROM ticks").fetchone()
 
     def open_connection(self) -> sqlite3.Connection:

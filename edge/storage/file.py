@@ -13,6 +13,8 @@ from enum import Enum
 from pathlib import Path
 
 from edge.core.names import SIGNALS
+from edge.formats.atomic_file import make_folder, move
+from edge.formats.owner import as_owner, open_database
 from edge.storage.schema_version import APPLICATION_ID, SCHEMA_VERSION, USABLE_VERSION
 
 SLICE_ROWS = 200  # of each tree: some milliseconds a tick, and the default year is read in two days
@@ -37,8 +39,8 @@ class SliceCheck:
         The connection is new each time: an old one's cache can hide for long what the disk has lost.
         """
         if self._below:
-            place = f"{self._path.absolute().as_uri()}?mode=ro"  # never makes a file where one was deleted
-            with closing(sqlite3.connect(place, uri=True, timeout=self._busy_s)) as connection:
+            # Never makes a file where one was deleted.
+            with closing(open_database(self._path, "mode=ro", timeout=self._busy_s)) as connection:
                 self._below = {
                     order: lowest
                     for order, below in self._below.items()
@@ -114,12 +116,12 @@ def connect(path: Path, busy_s: float) -> sqlite3.Connection:
     transactions that had been committed. Their ticks may have been published already, and the next start
     would give their numbers to other ticks. One sync per tick, in a thread that nobody waits for, is cheap.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     if path.is_dir():
         raise Unusable("it is a directory")
     if path.exists() and path.stat().st_size == 0:
         raise Unusable("it is empty")  # as a power cut can leave a file: what it held is lost, so say so
-    connection = sqlite3.connect(path, timeout=busy_s, isolation_level=None, check_same_thread=False)
+    connection = open_database(path, timeout=busy_s, isolation_level=None, check_same_thread=False)
     try:
         _check_owner(connection)
         connection.execute(f"PRAGMA page_size = {PAGE_BYTES}")  # this and the next count for a new file only
@@ -161,7 +163,7 @@ def _reserve_log(path: Path) -> None:
     nearly full the log grows as it can, and leaves the rest to the file.
     """
     if shutil.disk_usage(path).free > FREE_SHARE * RESERVED_BYTES:
-        with suppress(OSError), path.with_name(f"{path.name}-wal").open("ab") as log:
+        with suppress(OSError), as_owner(path), path.with_name(f"{path.name}-wal").open("ab") as log:
             log.write(bytes(max(RESERVED_BYTES - log.tell(), 0)))
 
 
@@ -194,5 +196,5 @@ def set_aside(path: Path, utc: float) -> Path | None:
     # The log first: a new database beside the old one's log would be taken for that log's own.
     for suffix in ("-wal", "-shm", ""):
         with suppress(FileNotFoundError):
-            Path(f"{path}{suffix}").rename(f"{target}{suffix}")
+            move(Path(f"{path}{suffix}"), Path(f"{target}{suffix}"))
     return target if target.exists() else None

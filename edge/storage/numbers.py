@@ -9,6 +9,9 @@ import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from edge.formats.atomic_file import open_to_overwrite
+from edge.formats.input_file import read_file
+
 _BYTES = 128  # always written whole, so that the file never grows after its first write
 
 
@@ -30,15 +33,14 @@ class NumbersFile:
     def read(self) -> Reservation | None:
         """Return the last reservation, None without a readable one."""
         try:
-            values = json.loads(self._path.read_bytes()[:_BYTES])
+            values = json.loads(read_file(self._path)[:_BYTES])
             return Reservation(int(values["first_seq"]), int(values["below"]), bool(values["is_final"]))
         except (OSError, ValueError, TypeError, KeyError):
             return None
 
     def write(self, reserved: Reservation) -> None:
         """Overwrite it on the disk itself. Errors: OSError"""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        file = open_to_overwrite(self._path)
         try:
             os.write(file, json.dumps(asdict(reserved)).encode().ljust(_BYTES))
             os.fsync(file)

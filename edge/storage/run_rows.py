@@ -13,6 +13,7 @@ from typing import Any
 
 from edge.core.errors import DataError
 from edge.core.plain_text import plain
+from edge.formats.owner import open_database
 from edge.formats.run_lines import absences, check_facts, head_text, in_order, rows_text
 from edge.storage.schema_version import SCHEMA_VERSION, USABLE_VERSION
 
@@ -170,8 +171,7 @@ def reading(path: str | Path, busy_s: float = BUSY_S, how: str = "mode=ro") -> I
     if Path(path).exists() and not Path(path).is_file():
         raise DataError(f"{path}: not a regular file")
     try:
-        uri = f"{Path(path).absolute().as_uri()}?{how}"
-        with closing(sqlite3.connect(uri, uri=True, timeout=busy_s)) as connection:
+        with closing(open_database(path, how, timeout=busy_s)) as connection:
             connection.text_factory = _text
             version = connection.execute("PRAGMA user_version").fetchone()[0]
             if not USABLE_VERSION <= version <= SCHEMA_VERSION:

@@ -15,11 +15,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from edge.assistant.llm.ledger import ToolError
 from edge.assistant.llm.wire import ToolSpec
 from edge.core.names import SIGNALS
+from edge.formats.owner import open_database
 from edge.formats.reader import DocumentError, read
 from edge.storage.schema_version import VIEWS
 
@@ -50,8 +50,7 @@ _WITH = re.compile(r"\bwith\b", re.IGNORECASE)
 
 def open_guarded(path: Path) -> sqlite3.Connection:
     """For one statement of a stranger and no more. Errors: sqlite3.Error"""
-    place = f"file:{quote(str(path.absolute()))}?mode=ro"
-    connection = sqlite3.connect(place, uri=True, timeout=BUSY_S, isolation_level=None)
+    connection = open_database(path, "mode=ro", timeout=BUSY_S, isolation_level=None)
     try:
         connection.execute("PRAGMA query_only = ON")
         connection.execute("SELECT count(*) FROM v_ticks WHERE seq < 0")  # the schema is read, and is ours

@@ -41,7 +41,7 @@ from edge.diagnosis.report.wording import (
     shrink,
     where_findings,
 )
-from edge.formats.atomic_file import write_atomically
+from edge.formats.atomic_file import make_folder, write_atomically
 
 REGIMES = 10
 OPEN_FINDINGS = 3  # more are folded
@@ -327,7 +327,7 @@ def write_report(folder: Path, story: Story) -> None:
 
     Errors : DataError where the diagnosis is not as its schema says; OSError
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_json(folder / FILE_NAME, story.document)
     text = page(story.document, pictures(story), str(folder))
     write_atomically(folder / PAGE_NAME, text.encode(errors="backslashreplace"))

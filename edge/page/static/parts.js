@@ -275,21 +275,28 @@ export function Health({ view, me }) {
 }
 
 export function Access({ me }) {
-  const [rows, setRows] = useState([]);
+  const [rights, setRights] = useState({ sessions: [], links: [], people: [] });
   const [link, setLink] = useState("");
-  const load = () => call("GET", "/api/sessions").then((found) => setRows(found.sessions), () => {});
-  useEffect(() => { if (me.role === "admin") load(); }, []);
+  const load = () => call("GET", "/api/sessions").then(setRights, () => {});
+  useEffect(() => { if (me.role !== "view") load(); }, []);
+  const end = (kind, key) => () => call("DELETE", `/api/${kind}/${encodeURIComponent(key)}`).then(load);
   const make = (role, days) => async () => {
     const found = await call("POST", "/api/links", { role, days, name: role === "view" ? "guest" : role });
     setLink(`${location.origin}/#link=${found.link}`);
   };
   const leave = () => call("DELETE", "/api/session").then(() => location.reload());
   return html`<section class="card" aria-label="Access"><h2>Access</h2>
-    <p>You are ${me.name}. Your role: ${me.role}.</p>
+    <p>Signed in as ${me.name} (${me.role}).</p>
     ${me.role === "admin" && html`<div class="row"><${Do} act=${make("view", 7)}>Link to view for a week<//><${Do} act=${make("operate", 0.05)}>Link for one who operates<//></div>
       ${link && html`<p><input readonly aria-label="link" value=${link} onFocus=${(event) => event.target.select()} /></p>`}
-      <ul>${rows.map((row) => html`<li key=${row.session}>${row.name} (${row.role}), seen ${clock(row.seen_utc, true)}, ${row.browser.slice(0, 40)}
-        ${row.session !== me.session && html`<${Do} act=${() => call("DELETE", `/api/sessions/${row.session}`).then(load)}>End<//>`}</li>`)}</ul>`}
+    `}
+    ${me.role !== "view" && html`<ul>
+      ${rights.sessions.map((row) => html`<li key=${`s${row.session}`}>${row.name} (${row.role})${row.link ? `, link ${row.link}` : ""}, seen ${clock(row.seen_utc, true)}, ${row.browser.slice(0, 40)}
+        ${row.session !== me.session && html`<${Do} act=${end("sessions", row.session)}>End<//>`}</li>`)}
+      ${rights.links.map((row) => html`<li key=${`l${row.link}`}>Link ${row.link}: ${row.name} (${row.role}), until ${clock(row.expires_utc, true)}
+        <${Do} act=${end("links", row.link)}>End the link<//></li>`)}
+      ${rights.people.map((row) => html`<li key=${`p${row.name}`}>${row.name} (${row.role}) logs in by password
+        <${Do} act=${end("people", row.name)}>End the password<//></li>`)}</ul>`}
     <${Do} act=${leave}>Log out<//>
   </section>`;
 }

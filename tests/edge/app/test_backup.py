@@ -2,18 +2,22 @@
 
 import io
 import json
+import os
 import socket
 import sqlite3
 import tarfile
 import threading
+from argparse import Namespace
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 import yaml
 
-from edge.app.backup import MANIFEST, back_up, restore
+from edge.app import backup
+from edge.app.backup import MANIFEST, _refuse_elsewhere, back_up, restore
 from edge.commands import backup as command
+from edge.commands import restore as restore_command
 from edge.core.errors import DataError, RequestError
 from edge.storage import FactBook
 from edge.storage.file import connect
@@ -39,7 +43,12 @@ def rig(tmp_path) -> Path:
     for name, text in FILES.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
-    (root / "etc/credentials/secret_mqtt").chmod(0o600)
+    for name, mode in {
+        "credentials": 0o700,
+        "credentials/secret_mqtt": 0o600,
+        "page-credentials": 0o700,
+    }.items():
+        (root / "etc" / name).chmod(mode)
     config = root / "etc/edge.yaml"
     config.write_text(yaml.safe_dump(settings_in(root)))
     with closing(sqlite3.connect(root / "var/history.db")) as database:
@@ -50,6 +59,7 @@ def rig(tmp_path) -> Path:
     (root / "page").mkdir()
     with closing(sqlite3.connect(root / "page/page.db")) as database:
         database.execute("CREATE TABLE links (name TEXT)")
+    (root / "page/page.db").chmod(0o600)
     return config
 
 
@@ -76,10 +86,12 @@ def rows(history: Path) -> list[tuple]:
 
 
 def lose(config: Path) -> None:
-    """A new machine: nothing but the backup is left."""
+    """A new machine: nothing but the backup is left, and a configuration that names the same places."""
     root = config.parent.parent
     for path in sorted(root.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
+    config.parent.mkdir(parents=True)
+    config.write_text(yaml.safe_dump(settings_in(root)))
 
 
 def test_everything_comes_back(rig, tmp_path):
@@ -88,9 +100,12 @@ def test_everything_comes_back(rig, tmp_path):
     back_up(rig, out)
     assert out.stat().st_mode & 0o777 == 0o600
     lose(rig)
-    restored = list(restore(out, rig, replaces=False))
+    restored = list(restore(out, rig, replaces=True))
+    [own] = root.glob("etc/edge.yaml.before-*")
+    own.unlink()
     assert contents(root) == before and rows(root / "var/history.db") == ticks
-    assert (root / "etc/credentials/secret_mqtt").stat().st_mode & 0o777 == 0o600
+    modes = {"etc/credentials": 0o700, "etc/credentials/secret_mqtt": 0o600, "page/page.db": 0o600}
+    assert {name: (root / name).stat().st_mode & 0o777 for name in modes} == modes
     assert len(restored) == 12 and str(root / "page/page.db") in restored
     assert not [path for path in tmp_path.rglob(".*")]
 
@@ -105,7 +120,7 @@ def test_what_was_remembered_comes_back_with_the_history(rig, tmp_path):
     facts = book.newest_first()
     back_up(rig, out)
     lose(rig)
-    list(restore(out, rig, replaces=False))
+    list(restore(out, rig, replaces=True))
     assert len(facts) == 1
     assert book.newest_first() == facts
 
@@ -247,6 +262,120 @@ def test_a_backup_that_was_cut_off_changes_nothing(rig, tmp_path, share):
     with pytest.raises(DataError, match=r"backup\.tar\.gz"):
         list(restore(out, rig, replaces=True))
     assert contents(rig.parent.parent) == before
+
+
+def test_a_place_that_only_the_backup_names_is_refused(rig, tmp_path):
+    out, other = tmp_path / "backup.tar.gz", tmp_path / "other"
+    back_up(rig, out)
+    for config in (other / "edge.yaml", Path("/etc/greenhouse/edge.yaml")):
+        with pytest.raises(DataError, match=r"puts .* outside .*write a .*edge\.yaml that names this place"):
+            list(restore(out, config, replaces=True))
+    assert not other.exists()
+    elsewhere = settings_in(rig.parent.parent) | {"state_file": str(tmp_path / "cron.d/job")}
+    rig.write_text(yaml.safe_dump(elsewhere))
+    with pytest.raises(DataError, match=r"puts state\.json at .*/var/state\.json"):
+        list(restore(out, rig, replaces=True))
+
+
+@pytest.mark.parametrize(
+    ("part", "path", "is_taken"),
+    [
+        ("state.json", "/var/lib/greenhouse/state.json", True),
+        ("state.json", "/var/lib/greenhouse/../../../etc/cron.d/job", False),
+        ("state.json", "/etc/greenhouse/edge.yaml", False),
+        ("state.json", "/var/lib/greenhouse", False),
+        ("signing.key", "/etc/greenhouse/keys/rig.key", True),
+        ("signing.key", "/root/.ssh/authorized_keys", False),
+        ("page.db", "/var/lib/greenhouse-page/page.db", True),
+        ("page.db", "/var/lib/greenhouse/page.db", False),
+        ("history.db", "history.db", False),
+    ],
+)
+def test_places_of_the_package_are_taken(part, path, is_taken):
+    def check() -> None:
+        _refuse_elsewhere(part, Path(path), None, Path("/etc/greenhouse/edge.yaml"))
+
+    if is_taken:
+        check()
+    else:
+        with pytest.raises(DataError, match=f"puts {part} at"):
+            check()
+
+
+@pytest.mark.parametrize("name", ["etc/page-credentials", "page/page.db"])
+def test_secrets_that_others_can_read_are_refused(rig, tmp_path, name):
+    place = rig.parent.parent / name
+    for path in (place, *place.glob("*")):
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    with pytest.raises(DataError, match=r"is a secret that others can read \(mode 0644\)"):
+        back_up(rig, tmp_path / "backup.tar.gz")
+    assert not (tmp_path / "backup.tar.gz").exists()
+
+
+def swell(member, data):
+    return (member, bytes(20 << 20)) if member.name == "history.db" else (member, data)
+
+
+def swell_a_header(member, data):
+    member.pax_headers = {"comment": "x" * (2 << 20)}
+    return member, data
+
+
+@pytest.mark.parametrize("change", [swell, swell_a_header])
+def test_a_backup_that_unpacks_to_far_more_than_its_size_is_refused(rig, tmp_path, monkeypatch, change):
+    monkeypatch.setattr(backup, "TABLE", 1 << 20)
+    back_up(rig, tmp_path / "backup.tar.gz")
+    bad = changed(tmp_path / "backup.tar.gz", change)
+    with pytest.raises(DataError, match="more than a backup of its size can"):
+        list(restore(bad, rig, replaces=True))
+
+
+def test_nothing_is_written_where_nobody_agrees(rig, tmp_path, capsys, monkeypatch):
+    back_up(rig, tmp_path / "backup.tar.gz")
+    before = contents(rig.parent.parent)
+    arguments = {"file": tmp_path / "backup.tar.gz", "config": rig, "replace": True, "yes": False}
+    with pytest.raises(RequestError, match="nothing was restored"):
+        restore_command.run(Namespace(**arguments))
+    said = capsys.readouterr()
+    assert f"{rig.parent.parent}/var/state.json  2 bytes" in said.out and "--yes" in said.err
+    assert contents(rig.parent.parent) == before
+    assert restore_command.run(Namespace(**arguments | {"yes": True})) == 0
+
+
+STRANGER = 54321  # a user's number that no account has
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be led astray")
+def test_root_follows_no_link_that_the_daemons_user_has_planted(rig, tmp_path):
+    """Backup reads with the rights of who owns the folder, and restore writes with them."""
+    root, out = rig.parent.parent, tmp_path / "backup.tar.gz"
+    for path in (tmp_path, *tmp_path.parents):
+        if path != Path("/"):
+            path.chmod(path.stat().st_mode | 0o011)
+    for path in (root / "var", *(root / "var").rglob("*")):
+        os.chown(path, STRANGER, STRANGER)
+    secret = tmp_path / "secret"
+    secret.write_text("of root")
+    secret.chmod(0o600)
+    back_up(rig, out)
+    (root / "var/.state.json.restored").symlink_to(secret)
+    (root / "var/.history.db.restored").symlink_to(tmp_path)
+    list(restore(out, rig, replaces=True))
+    assert secret.read_text() == "of root"
+    assert {(root / "var" / name).stat().st_uid for name in ("state.json", "history.db", "bundles")} == {
+        STRANGER
+    }
+    for name in ("state.json", "history.db", "bundles/roles.json"):
+        whole = (root / "var" / name).read_bytes()
+        (root / "var" / name).unlink()
+        (root / "var" / name).symlink_to(secret)
+        with pytest.raises((DataError, PermissionError)):
+            back_up(rig, tmp_path / "stolen.tar.gz")
+        (root / "var" / name).unlink()
+        (root / "var" / name).write_bytes(whole)
+        os.chown(root / "var" / name, STRANGER, STRANGER)
+    assert not (tmp_path / "stolen.tar.gz").exists()
+    assert os.geteuid() == 0
 
 
 def test_the_command_tells_what_it_saved(rig, tmp_path, capsys):

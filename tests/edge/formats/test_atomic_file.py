@@ -177,7 +177,6 @@ def test_no_other_file_of_the_project_renames_or_synchronises() -> None:
     alone = {
         "edge/formats/atomic_file.py",
         "edge/app/backup.py",  # a history of gigabytes is streamed, not handed over as a whole
-        "edge/storage/file.py",  # sets a damaged database aside with its log
         "edge/storage/numbers.py",  # overwrites in place: a full disk has no room for a new file
         "edge/sockets/unix_socket.py",  # a socket is not a file with content
     }

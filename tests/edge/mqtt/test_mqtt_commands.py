@@ -44,7 +44,28 @@ REFERENCE = ReferenceSettings(min_c=15.0, max_c=38.0)
         ("why", b"1767225600.5", {"do": "why", "at_utc": 1767225600.5}),
         ("resend", b'{"first_seq": 3, "last_seq": 9}', {"do": "resend", "first_seq": 3, "last_seq": 9}),
         ("emergency_stop", b"PRESS", {"do": "emergency_stop"}),
-        ("emergency_stop", b"ON", {"do": "emergency_stop"}),
+        *(
+            ("emergency_stop", payload, {"do": "emergency_stop"})
+            for payload in (
+                b"ON",
+                b"on",
+                b"true",
+                b"1",
+                b"off",
+                b"press",
+                b" OFF",
+                b"OFF\n",
+                b"\xff",
+                b"{}",
+                b"x" * 5000,
+            )
+        ),
+        *(
+            (what, text, {"do": "emergency_stop"})
+            for what in ("mode", "ask")
+            for text in (b"stop", b"STOP!", b"Emergency stop", b"emergency_stop", b"e-stop")
+        ),
+        ("ask", b"stop the fan at night", {"do": "ask", "words": "stop the fan at night"}),
         ("emergency_stop", b"OFF", {"do": "release_emergency_stop"}),
         ("release_emergency_stop", b"PRESS", {"do": "release_emergency_stop"}),
         ("clear_trip", b"PRESS", {"do": "clear_trip"}),
@@ -74,7 +95,6 @@ def test_a_well_formed_command_becomes_a_request(what, payload, request_):
         *(("temperature", text) for text in (b"", b" 25", b"25\n", "٢٥".encode(), b"9" * 400)),
         ("mode", b"cool"),
         ("mode", b"AUTO"),
-        ("mode", b"emergency_stop"),
         ("fan_mode", b"high"),
         ("controller", b"mpc"),
         ("controller", b"None"),
@@ -82,11 +102,9 @@ def test_a_well_formed_command_becomes_a_request(what, payload, request_):
         ("maintenance", b"1440.1"),
         ("maintenance", b"1e9"),
         ("emergency_stop", b""),
-        ("emergency_stop", b"off"),
         ("confirm", b""),
         ("discard", b""),
         ("discard", b" why"),
-        ("emergency_stop", b"press"),
         ("install_bundle", b"{}"),
         ("install_bundle", b'{"url": "http://fleet/b.zip", "sha256": "A"}'),
         ("install_bundle", b'{"url": "http://fleet/b.zip", "sha256": "%s", "action": "x"}' % (b"a" * 64)),

@@ -93,13 +93,30 @@ def test_revoking_ends_one_session_or_all_and_every_link(access: Access) -> None
     first, second = entered(access, link), entered(access, link)
     visitor = access.visitor(first)
     assert visitor is not None
-    assert access.revoke(visitor.session) == 1
+    assert access.revoke("sessions", visitor.session) == [visitor.session]
     assert access.visitor(first) is None
     assert access.visitor(second) is not None
-    assert access.revoke() == 1
+    assert len(access.revoke_all()) == 1
     assert access.visitor(second) is None
     assert access.enter(link, "") is None
     assert access.sessions() == []
+
+
+def test_a_link_and_a_person_end_with_their_sessions_alone(access: Access) -> None:
+    links = [access.make_link(Role.VIEW, name, DAY_S, uses=None) for name in ("class", "neighbours")]
+    by_link = [entered(access, links[0]), entered(access, links[0]), entered(access, links[1])]
+    for name in ("Bo", "Cy"):
+        access.set_password(name, Role.OPERATE, "long enough")
+    begun = access.log_in("Bo", "long enough", "")
+    assert begun is not None
+    [number] = [row["link"] for row in access.links() if row["name"] == "class"]
+    assert len(access.revoke("links", number)) == 2
+    assert [access.visitor(secret) is None for secret in by_link] == [True, True, False]
+    assert access.enter(links[0], "") is None and access.enter(links[1], "") is not None
+    assert access.revoke("people", "Bo") == [begun[1].session]
+    assert access.visitor(begun[0]) is None and access.log_in("Bo", "long enough", "") is None
+    assert [row["name"] for row in access.people()] == ["Cy"]
+    assert access.role_of("links", number) is None and access.role_of("people", "Cy") is Role.OPERATE
 
 
 def test_who_saw_an_alarm_first_stays(access: Access) -> None:
@@ -121,6 +138,8 @@ def test_a_file_that_is_no_database_is_told(access: Access) -> None:
 def test_a_file_that_root_makes_is_the_folders_owners(tmp_path: Path) -> None:
     if os.geteuid() != 0:
         pytest.skip("only root gives files away")
+    for place in (tmp_path, *list(tmp_path.parents)[:-1]):
+        place.chmod(place.stat().st_mode | 0o011)
     folder = tmp_path / "page"
     folder.mkdir(mode=0o700)
     os.chown(folder, NOBODY, NOBODY)

@@ -165,7 +165,7 @@ def test_a_link_for_once_is_used_once_and_an_ended_session_is_over(page: PagePro
     client = Client(page.base)
     client.session.cookies.set("greenhouse_session", first[0])
     assert client.get("/api/me").ok
-    page.access.revoke(first[1].session)
+    page.access.revoke("sessions", first[1].session)
     assert client.get("/api/me").status_code == 401
 
 

@@ -2,13 +2,16 @@
 
 import os
 import signal
+import socket
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 
 import pytest
 
 from edge.core.hard_limits import LEASE_S
 from edge.page.access import Role
+from edge.page.protocol import CONNECTIONS_MAX
 from tests.support.broker import wait_for
 from tests.support.daemon_process import DaemonProcess
 from tests.support.page_process import Client, PageProcess, as_at_first, rig_with_page
@@ -17,6 +20,10 @@ from tests.support.virtual_board import VirtualBoard
 pytestmark = pytest.mark.slow
 
 
+UNFINISHED = (
+    b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nSec-Fetch-Site: same-origin\r\n"
+    b"Authorization: Bearer x\r\nContent-Type: application/json\r\nContent-Length: 9\r\n\r\n"
+)
 Rig = tuple[DaemonProcess, PageProcess, VirtualBoard]
 
 
@@ -65,10 +72,26 @@ def test_a_viewer_stops_the_rig_and_the_history_says_who(rig: Rig) -> None:
     ]
 
 
+@pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\n", UNFINISHED])
+def test_a_stop_arrives_within_a_second_whoever_holds_connections(rig: Rig, begun: bytes) -> None:
+    daemon, page, _ = rig
+    client = page.client(Role.VIEW, "guest")
+    with ExitStack() as stack:
+        for _ in range(CONNECTIONS_MAX + 100):
+            held = stack.enter_context(socket.create_connection(("127.0.0.1", page.port), timeout=20))
+            held.sendall(begun)
+        begun_s = time.monotonic()
+        fresh = Client(page.base)  # as a person who has just opened the page
+        fresh.session.cookies.update(client.session.cookies)
+        assert fresh.post("/api/stop").json()["ok"]
+        assert daemon.ask("status")["operation"]["emergency_stop"]
+        assert time.monotonic() - begun_s < 1.0
+
+
 def test_with_the_daemon_hung_a_stop_leaves_the_heater_off_within_a_lease_and_for_good(rig: Rig) -> None:
     daemon, page, board = rig
     client = page.client(Role.VIEW, "guest")
-    wait_for(lambda: heats(board) and client.view()["reached"])
+    wait_for(lambda: heats(board) and client.view()["status"]["echo"]["heater_duty"] > 0.0)
     assert daemon.process is not None
     os.kill(daemon.process.pid, signal.SIGSTOP)
     try:

@@ -20,11 +20,12 @@ from bench.default_daemon import memory_of
 from edge.core.processes import end_process
 from edge.page.__main__ import main
 from edge.page.access import Role
-from edge.page.protocol import CONNECTIONS_MAX, OTHER_FILES
+from edge.page.protocol import CONNECTIONS_MAX
 from tests.support.broker import free_port, wait_for
 from tests.support.daemon_process import ROOT
 from tests.support.page_process import Client, PageProcess, cookie_of, listens, page_of
 
+OTHER_FILES = 30  # that the page has open beside connections
 pytestmark = pytest.mark.slow
 Refusal = Callable[[Path, dict], str]
 
@@ -100,7 +101,7 @@ def test_connections_that_only_wait_take_little_memory_and_are_limited(page: Pag
         for _ in range(CONNECTIONS_MAX):
             stack.enter_context(socket.create_connection(("127.0.0.1", page.port), timeout=20))
         wait_for(lambda: open_files(page) <= CONNECTIONS_MAX + OTHER_FILES)
-    wait_for(page.answers, "the page has room again")
+        assert page.client(None).get("/").ok
 
 
 def open_files(page: PageProcess) -> int:
@@ -111,7 +112,7 @@ def open_files(page: PageProcess) -> int:
 BAD = {
     "a missing certificate": ("certificate", "No such file", lambda page: unlink(page["certificate"])),
     "a missing key": ("key_file", "No such file", lambda page: unlink(page["key_file"])),
-    "a folder": ("key_file", "Is a directory", lambda page: page.update(key_file="/")),
+    "a folder": ("key_file", "not a regular file", lambda page: page.update(key_file="/")),
     "no certificate": ("certificate", "PEM", lambda page: Path(page["certificate"]).write_text("x")),
     "an empty certificate": ("certificate", "PEM", lambda page: Path(page["certificate"]).write_text("")),
     "no key": ("key_file", "PEM", lambda page: Path(page["key_file"]).write_text("x")),

@@ -96,6 +96,23 @@ def uncollected() -> Iterator[None]:
 
 @pytest.mark.parametrize(
     "line",
+    [
+        b'{"do": "emergency_stop", "state": "ON"}',
+        b'{"do": "Emergency-Stop", "by": "Ann"}',
+        b'{"do": "stop"}',
+        b'{"do": "ask", "words": "STOP!"}',
+        b'{"do": "set_mode", "mode": "emergency stop"}',
+        b"stop",
+        b"EMERGENCY STOP",
+    ],
+)
+def test_a_stop_in_other_words_is_one(server, path, line):
+    [answer] = exchange(path, line + b"\n")
+    assert answer["posted"] in ({"do": "emergency_stop"}, {"do": "emergency_stop", "by": "Ann"})
+
+
+@pytest.mark.parametrize(
+    "line",
     [b"", b"{", b"[]", b"null", b"1", b'"x"', b"{'do': 1}", b'{"a": NaN}', b'{"a": -Infinity}', b"\xff\xfe",
      b"[" * 5000, b'{"a": ' + b"9" * 5000 + b"}"],
 )  # fmt: skip
@@ -446,6 +463,14 @@ def test_a_stop_names_its_author_until_it_is_taken_away(tmp_path: Path) -> None:
 def test_a_stop_that_cannot_be_read_is_one(tmp_path: Path, content: bytes) -> None:
     (tmp_path / FILE).write_bytes(content)
     assert StopFile(tmp_path).author() == NOBODY
+
+
+def test_a_fifo_in_its_place_is_one_too_and_holds_up_nobody(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / FILE)
+    stop_file = StopFile(tmp_path)
+    assert stop_file.author() == NOBODY
+    stop_file.leave("Ann")
+    assert stop_file.author() == "Ann"
 
 
 def test_a_folder_in_its_place_is_one_too(tmp_path: Path) -> None:
