@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from bench import kills
-from bench.attack import answers, bundles, files, floods, payloads, scenarios
+from bench.attack import answers, bundles, files, floods, links, payloads, scenarios
 from bench.attack.part import Part, report
 
 PARTS: dict[str, tuple[Part, int]] = {  # and how many cases
@@ -15,6 +15,7 @@ PARTS: dict[str, tuple[Part, int]] = {  # and how many cases
     "payloads": (payloads.run, 2000),
     "files": (files.run, 200),
     "bundles": (bundles.run, 200),
+    "links": (links.run, 400),
     "kills": (kills.attack, 1000),
 }
 

@@ -13,18 +13,24 @@ import socket
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from paho.mqtt.client import Client
+import requests
+from paho.mqtt.client import Client as MqttClient
 from paho.mqtt.enums import CallbackAPIVersion
 
 from bench.attack.part import TrialResult, main_of
-from edge.core.errors import RequestError
+from edge.page.access import Role
+from edge.page.protocol import CONNECTIONS_MAX
 from edge.sockets.client import request
 from tests.support.broker import Broker, Listener
 from tests.support.daemon_process import RIG, DaemonProcess
+from tests.support.page_process import Client, page_of
 from tests.support.virtual_board import VirtualBoard, virtual_board
 from tests.support.watched_clock import ACTUATORS
 
@@ -38,7 +44,7 @@ BROKER = "allow_anonymous true\nmax_queued_messages 0\nmax_inflight_messages 0"
 # Floods of the control socket. Each runs until it is killed.
 
 
-def idle(path: Path, port: int) -> None:
+def idle(path: Path, port: int, page: int) -> None:
     """Open connections that say nothing."""
     clients = [_client(path) for _ in range(CLIENTS)]
     while clients:
@@ -46,7 +52,7 @@ def idle(path: Path, port: int) -> None:
         clients = [client for client in clients if _is_open(client)] + [_client(path)]
 
 
-def half_lines(path: Path, port: int) -> None:
+def half_lines(path: Path, port: int, page: int) -> None:
     """Open connections that never end their line."""
     clients = [_client(path) for _ in range(CLIENTS)]
     while True:
@@ -58,7 +64,7 @@ def half_lines(path: Path, port: int) -> None:
         time.sleep(0.01)
 
 
-def never_read(path: Path, port: int) -> None:
+def never_read(path: Path, port: int, page: int) -> None:
     """Send requests and never read the answers."""
     clients = [_client(path) for _ in range(CLIENTS)]
     for client in clients:
@@ -74,10 +80,10 @@ def never_read(path: Path, port: int) -> None:
                 clients[number].setblocking(False)
 
 
-def requests_of(line: bytes) -> Callable[[Path, int], None]:
+def requests_of(line: bytes) -> Callable[[Path, int, int], None]:
     """Return a flood of one kind of request from many clients, as fast as they are answered."""
 
-    def flood(path: Path, port: int) -> None:
+    def flood(path: Path, port: int, page: int) -> None:
         clients = [_client(path) for _ in range(16)]
         while True:
             for number, client in enumerate(clients):
@@ -90,7 +96,7 @@ def requests_of(line: bytes) -> Callable[[Path, int], None]:
     return flood
 
 
-def comings_and_goings(path: Path, port: int) -> None:
+def comings_and_goings(path: Path, port: int, page: int) -> None:
     """Open connections and close them at once."""
     while True:
         _client(path).close()
@@ -99,19 +105,48 @@ def comings_and_goings(path: Path, port: int) -> None:
 # Floods of the broker.
 
 
-def burst(path: Path, port: int) -> None:
+def burst(path: Path, port: int, page: int) -> None:
     """Ten thousand messages at once."""
     _publish(port, itertools.repeat(("status", b"PRESS"), 10_000), pause_s=0.0)
     time.sleep(GIVE_UP_S)
 
 
-def steady(topic: str, payload: bytes) -> Callable[[Path, int], None]:
+def steady(topic: str, payload: bytes) -> Callable[[Path, int, int], None]:
     """One message every half millisecond, without end."""
-    return lambda path, port: _publish(port, itertools.repeat((topic, payload)), pause_s=0.0005)
+    return lambda path, port, page: _publish(port, itertools.repeat((topic, payload)), pause_s=0.0005)
 
 
-FLOODS: dict[str, Callable[[Path, int], None]] = {
-    "no flood": lambda path, port: time.sleep(GIVE_UP_S),
+# Floods of the page.
+
+
+def connections(begun: bytes) -> Callable[[Path, int, int], None]:
+    """Return a flood of more connections than the page takes, each with the beginning of a request."""
+
+    def flood(path: Path, port: int, page: int) -> None:
+        held: deque[socket.socket] = deque(maxlen=CONNECTIONS_MAX + 10)
+        while True:
+            with contextlib.suppress(OSError):
+                held.append(socket.create_connection(("127.0.0.1", page), timeout=2.0))
+                held[-1].sendall(begun)
+            time.sleep(0.0 if len(held) < CONNECTIONS_MAX else 0.01)
+
+    return flood
+
+
+def logins(path: Path, port: int, page: int) -> None:
+    """Try passwords of invented names."""
+    client = Client(f"http://127.0.0.1:{page}")
+    for number in itertools.count():
+        with contextlib.suppress(requests.RequestException):
+            client.post("/api/session", {"name": f"nobody {number}", "password": "guess"})
+
+
+BODY = (
+    b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer x\r\n"
+    b"Content-Type: application/json\r\nContent-Length: 9\r\n\r\n"
+)
+FLOODS: dict[str, Callable[[Path, int, int], None]] = {
+    "no flood": lambda path, port, page: time.sleep(GIVE_UP_S),
     "socket: idle": idle,
     "socket: half lines": half_lines,
     "socket: never read": never_read,
@@ -126,17 +161,41 @@ FLOODS: dict[str, Callable[[Path, int], None]] = {
     "mqtt: why": steady("why", b""),
     "mqtt: 50 kB": steady("temperature", b"9" * 50_000),
     "mqtt: unknown": steady("nothing/such", b"\xff\x00"),
+    "page: idle": connections(b""),
+    "page: half heads": connections(b"GET / HTTP/1.1\r\n"),
+    "page: half bodies": connections(BODY),
+    "page: logins": logins,
 }
-STOPS = {
-    "emergency_stop": ({"do": "emergency_stop"}, ("emergency_stop", "PRESS")),
-    "maintenance": ({"do": "maintenance", "minutes": 5}, ("maintenance", "5")),
+# Wordings of a stop by door. Any of them asks for one.
+WORDS: dict[str, tuple[Any, ...]] = {
+    "socket": (
+        *(
+            b'{"do": "emergency_stop"}',
+            b'{"do": "emergency_stop", "state": "ON"}',
+            b'{"do": "Emergency-Stop"}',
+        ),
+        *(b'{"do": "stop"}', b'{"do": "ask", "words": "Stop!"}', b"EMERGENCY STOP", b"stop"),
+        b'{"do": "maintenance", "minutes": 5}',
+    ),
+    "mqtt": (
+        *(
+            ("emergency_stop", payload)
+            for payload in (b"PRESS", b"ON", b"on", b"true", b"1", b"off", b"\xff")
+        ),
+        *(("mode", b"emergency_stop"), ("ask", b"stop"), ("maintenance", b"5")),
+    ),
+    "page": (
+        *(("/api/stop", {}), ("/api/stop", {"reason": 5}), ("/api/order", {"do": "emergency_stop", "x": 1})),
+        *(("/api/order", {"do": "stop"}), ("/api/order", {"do": "ask", "words": "emergency stop"})),
+    ),
 }
 
 
 def run(seed: int, count: int) -> Iterator[TrialResult]:
     """`count` stops: each flood, door and kind of stop in a drawn order, again and again."""
-    trials = [(flood, door, stop) for flood in FLOODS for door in ("socket", "mqtt") for stop in STOPS]
-    random.Random(seed).shuffle(trials)
+    draw = random.Random(seed)
+    trials = [(flood, door, draw.choice(WORDS[door])) for flood in FLOODS for door in WORDS]
+    draw.shuffle(trials)
     with tempfile.TemporaryDirectory(prefix="gh-flood-") as name:
         folder = Path(name)
         with (
@@ -144,61 +203,62 @@ def run(seed: int, count: int) -> Iterator[TrialResult]:
             virtual_board(folder, "--real-time") as board,
             DaemonProcess(folder, broker.port, safety=NO_HOLD) as daemon,
             Listener(broker.port, f"{RIG}/nothing") as sender,
+            page_of(folder) as page,
         ):
-            for flood, door, stop in itertools.islice(itertools.cycle(trials), count):
-                name = f"{flood}, {stop} by {door}"
+            for flood, door, words in itertools.islice(itertools.cycle(trials), count):
+                name = f"{flood}, {words!r} by {door}"
                 if not _heat(board, daemon):
                     yield TrialResult(
-                        name, 1, ["heater and fan are not on after the release of the stop before"]
+                        name, 1, ["heater and light are not on after the release of the stop before"]
                     )
                     continue
-                took_s = stopped_after(flood, door, stop, board, daemon, sender, broker.port)
+                send = partial(_send, door, words, daemon.socket, sender, page.client(Role.VIEW))
+                flooder = partial(FLOODS[flood], daemon.socket, broker.port, page.port)
+                took_s = stopped_after(flooder, send, board)
                 yield TrialResult(name, 1, _slow(took_s, daemon))
 
 
-def stopped_after(
-    flood: str, door: str, stop: str, board: VirtualBoard, daemon: DaemonProcess, sender: Listener, port: int
-) -> float:
+def stopped_after(flood: Callable[[], None], send: Callable[[], None], board: VirtualBoard) -> float:
     """Time from the sending of a stop until every pin is off [s]; GIVE_UP_S where that did not come."""
-    flooder = multiprocessing.get_context("fork").Process(
-        target=FLOODS[flood], args=(daemon.socket, port), daemon=True
-    )
+    flooder = multiprocessing.get_context("fork").Process(target=flood, daemon=True)
     flooder.start()
     try:
         time.sleep(WARM_UP_S)
         begin = time.monotonic()
-        with _send(stop, door, daemon.socket, sender):
-            while _pins_on(board) and time.monotonic() - begin < GIVE_UP_S:
-                time.sleep(0.01)
-            return time.monotonic() - begin
+        # What counts is when the pins are off, not the answer.
+        asking = threading.Thread(target=send, daemon=True)
+        asking.start()
+        while _pins_on(board) and time.monotonic() - begin < GIVE_UP_S:
+            time.sleep(0.01)
+        took_s = time.monotonic() - begin
+        asking.join(GIVE_UP_S)
+        return took_s
     finally:
         flooder.kill()
         flooder.join()
 
 
-@contextlib.contextmanager
-def _send(stop: str, door: str, path: Path, sender: Listener) -> Iterator[None]:
-    """Send without waiting for the answer: what counts is when the pins are off."""
-    order, (topic, payload) = STOPS[stop]
+def _send(door: str, words: Any, path: Path, sender: Listener, browser: Client) -> None:
+    """Send a stop by a door, in words of its own."""
     if door == "mqtt":
-        sender.client.publish(f"{RIG}/set/{topic}", payload, qos=1)
-        yield
-        return
-    asking = threading.Thread(target=_ask, args=(path, order), daemon=True)
-    asking.start()
-    yield
-    asking.join()
-
-
-def _ask(path: Path, order: dict[str, Any]) -> None:
-    with contextlib.suppress(RequestError):
-        request(path, order, GIVE_UP_S)
+        sender.client.publish(f"{RIG}/set/{words[0]}", words[1], qos=1)
+    elif door == "page":
+        with contextlib.suppress(requests.RequestException):
+            fresh = Client(browser.base)  # a new connection
+            fresh.session.cookies.update(browser.session.cookies)
+            fresh.post(*words)
+    else:
+        with contextlib.suppress(OSError), closing(socket.socket(socket.AF_UNIX)) as client:
+            client.connect(str(path))  # waits its turn, where one with a time-out would fail at once
+            client.settimeout(GIVE_UP_S)
+            client.sendall(words + b"\n")
+            client.recv(1 << 20)
 
 
 def _heat(board: VirtualBoard, daemon: DaemonProcess) -> bool:
-    """Release all stops, heater, fan and light on; False where they do not come on."""
+    """Release all stops, heater and light on (the fan's starts are limited); False where they stay off."""
     deadline = time.monotonic() + GIVE_UP_S
-    while not {"heater_relay", "fan", "led"} <= set(_pins_on(board)):
+    while not {"heater_relay", "led"} <= set(_pins_on(board)):
         if time.monotonic() > deadline:
             return False
         for order in (
@@ -245,7 +305,7 @@ def _is_open(client: socket.socket) -> bool:
 
 def _publish(port: int, messages: Iterator[tuple[str, bytes]], pause_s: float) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    client = Client(CallbackAPIVersion.VERSION2)
+    client = MqttClient(CallbackAPIVersion.VERSION2)
     client.connect("127.0.0.1", port)
     client.loop_start()
     for topic, payload in messages:

@@ -32,13 +32,12 @@ from edge.core.version import __version__
 from edge.formats.atomic_file import make_folder, move, sync_folder
 from edge.formats.cross_check import Rule
 from edge.formats.input_file import SMALL, TABLE, open_file
-from edge.formats.owner import as_owner, open_database
+from edge.formats.owner import COMPANIONS, as_owner, open_database
 from edge.formats.reader import parse_json, read
 
 MANIFEST, LAYOUT = "manifest.json", 2
 CONFIG, HISTORY, STATE, PAGE = "edge.yaml", "history.db", "state.json", "page.db"
 DATABASES = (HISTORY, PAGE)
-BESIDE_A_DATABASE = ("-wal", "-shm", "-journal")  # of the old one; beside a new one they would spoil it
 COPIES = 3  # of a folder that changes while it is read
 # Where the package has its files: other places only where a configuration on this machine names them.
 ETC, VAR, PAGE_FOLDER = Path("/etc/greenhouse"), Path("/var/lib/greenhouse"), Path("/var/lib/greenhouse-page")
@@ -359,7 +358,8 @@ def _put(source: Path, path: Path, stamp: str) -> Path | None:
     kept = path.with_name(f"{path.name}.before-{stamp}") if path.exists() else None
     if kept is not None:
         move(path, kept)
-    for ending in BESIDE_A_DATABASE if source.name in DATABASES else ():
+    # The old one's log would spoil the new one.
+    for ending in COMPANIONS if source.name in DATABASES else ():
         beside = path.with_name(path.name + ending)
         if beside.exists():
             move(beside, path.with_name(f"{path.name}.before-{stamp}{ending}"))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from edge.app.backup import restore
 from edge.commands.arguments import add_config
+from edge.core.errors import DataError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,10 +21,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """0 when everything is in its place. Errors: DataError, ConfigError, RequestError"""
-    for line in restore(
-        arguments.file, arguments.config, arguments.replace, (lambda places: True) if arguments.yes else ask
-    ):
-        print(line)
+    agrees = (lambda places: True) if arguments.yes else ask
+    try:
+        for line in restore(arguments.file, arguments.config, arguments.replace, agrees):
+            print(line)
+    except OSError as error:
+        raise DataError(f"{error.filename}: {error.strerror}; what is printed above is restored") from error
     print("restored; `greenhouse check-config` looks at it, `systemctl start greenhouse` begins")
     return 0
 

@@ -22,6 +22,12 @@ class Allowance:
         self.refused = 0
         self.refused_s = float("-inf")  # when the last one was refused
 
+    @property
+    def has_room(self) -> bool:
+        """Whether `take` would return True now."""
+        with self._lock:
+            return self._left + self._per_s * (self._clock() - self._at_s) >= 1.0
+
     def take(self) -> bool:
         """Take one place; return False when none is left."""
         with self._lock:

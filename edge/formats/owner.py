@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+COMPANIONS = ("-wal", "-shm", "-journal")  # of a database
 LINKS_MAX = 40  # as the kernel
 _acts = threading.local()
 
@@ -61,6 +62,9 @@ def open_database(path: str | Path, how: str = "", **options: Any) -> sqlite3.Co
     """
     place = f"{Path(path).absolute().as_uri()}?{how}" if how else str(path)
     with as_owner(path) as is_other:
+        for file in (Path(f"{path}{ending}") for ending in ("", *COMPANIONS)):
+            if file.exists() and not file.is_file():  # SQLite would wait for a FIFO without end
+                raise sqlite3.OperationalError(f"{file} is not a regular file")
         connection: sqlite3.Connection = sqlite3.connect(place, uri=bool(how), **options)
         if is_other:
             connection.execute("PRAGMA schema_version")  # else the log is opened later, with root's rights

@@ -19,6 +19,7 @@ from edge.tick.orders import FanMode, Mode, SetManual
 Request = dict[str, Any]
 
 STOP = "emergency_stop"
+WORDED, WORDS_MAX = ("mode", "ask"), 40  # where a person may say "stop", and in how many bytes
 PAYLOAD_MAX = 1024  # [bytes]
 SEQ_MAX = 2**63 - 1  # SQLite's largest integer
 Seq = Annotated[int, Rule(low=1, high=SEQ_MAX)]
@@ -69,12 +70,12 @@ def parse(what: str, payload: bytes, reference: ReferenceSettings) -> Request:
         raise RequestError(f"unknown command; known: {', '.join(COMMANDS)}")
     if len(payload) > PAYLOAD_MAX:
         raise RequestError(f"payload is longer than {PAYLOAD_MAX} bytes")
+    if is_stop_in_words(what, payload):
+        return {"do": STOP}
     try:
         text = payload.decode()
     except UnicodeDecodeError:
         raise RequestError("payload is not UTF-8") from None
-    if what in ("mode", "ask") and asks_to_stop(text):
-        return {"do": STOP}
     return parser(text, reference)
 
 
@@ -133,6 +134,12 @@ def _stop(payload: bytes) -> Request:
 def is_stop(payload: bytes) -> bool:
     """Return whether a payload on the stop's topic asks for a stop; one that is not understood does."""
     return payload not in (b"", OFF.encode())
+
+
+def is_stop_in_words(what: str, payload: bytes) -> bool:
+    """Return whether a payload on another topic says no more than to stop."""
+    is_short = what in WORDED and len(payload) <= WORDS_MAX
+    return is_short and asks_to_stop(payload.decode(errors="replace"))
 
 
 def _on_proposal(do: str) -> Callable[[str, ReferenceSettings], Request]:

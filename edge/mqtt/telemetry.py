@@ -24,7 +24,7 @@ from edge.core.messages import Event, Severity, TickRecord
 from edge.core.plain_text import plain
 from edge.formats.tick_json import event_json
 from edge.mqtt import discovery, states
-from edge.mqtt.commands import is_stop, parse
+from edge.mqtt.commands import ON, STOP, WORDED, is_stop, is_stop_in_words, parse
 from edge.mqtt.connection import Lane, end, make_client
 from edge.mqtt.drain import BATCH_ROWS, Drain, MessageQueue
 from edge.mqtt.topics import Topics
@@ -40,8 +40,8 @@ REFUSAL_PAUSE_S = 0.001  # so a flood of 1000/s costs a tenth of a core, and the
 FLOOD_OVER_S = 10.0  # after the last refusal
 STOP_REPEATED_S = 10.0  # a stop that the main connection hears so long after its lane is the same one
 STOP_APART_S = 0.3  # between the arrivals of one stop by both connections
-STOP = "emergency_stop"
-LANES = ((STOP, "release_emergency_stop"), ("maintenance",))  # a release in the order in which it was given
+# A release in the order in which it was given; and orders in which a person may say "stop".
+LANES = ((STOP, "release_emergency_stop", *WORDED), ("maintenance",))
 EVENTS_WAITING_MAX = 200  # live events while the broker is away; all of them are in the outbox too
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step counts as late
 SHORT = (  # keys of short answers
@@ -100,7 +100,8 @@ class Telemetry:
         self._client = make_client(settings.mqtt)
         self._set_callbacks(self._client)
         self._lanes = [Lane(settings, commands, self._hear_lane) for commands in LANES]
-        self._lane_of = {what: lane for lane in self._lanes for what in lane.commands}
+        lane_of = {what: lane for lane in self._lanes for what in lane.commands}
+        self._lane_of = {what: lane for what, lane in lane_of.items() if what not in WORDED}
         # Last of all: both threads read what stands above from their first moment on.
         self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
         self._thread.start()
@@ -204,6 +205,8 @@ class Telemetry:
         """Receive a command on the main connection. A flood ends here, before
         anything is parsed or answered.
         """
+        if is_stop_in_words(what, payload):
+            what, payload = STOP, ON.encode()
         lane = self._lane_of.get(what)
         if lane is not None:
             stops = what == STOP and is_stop(payload)
@@ -228,6 +231,10 @@ class Telemetry:
 
     def _hear_lane(self, what: str, payload: bytes) -> None:
         """Receive a command on a connection of its own, whose thread calls this."""
+        if what in WORDED:
+            if not is_stop_in_words(what, payload):
+                return  # the main connection's
+            what, payload = STOP, ON.encode()
         if what == STOP and is_stop(payload):  # a release must not make the main connection drop a stop
             self._stop_heard_s = time.monotonic()
             self._stop_heard.set()

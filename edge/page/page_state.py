@@ -5,13 +5,14 @@ import time
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from pathlib import Path
+from typing import Any
 
 import anyio
 from starlette.requests import Request
 
 from edge.config.settings import Settings
 from edge.core.event_log import Allowance
-from edge.page.access import Access, Visitor
+from edge.page.access import Access, Role, Visitor
 from edge.page.alarms.alarm_desk import AlarmDesk
 from edge.page.answers import NotAllowed, in_thread
 from edge.page.cookie import secret_of
@@ -21,6 +22,7 @@ from edge.page.questions import TwinQuestions
 from edge.page.rig_link import RigLink
 
 TESTS, TESTS_S = 5, 20.0  # of alarm channels: at once; at length [s]
+STOPS, STOPS_S = 2, 300.0  # that one link to view may set against releases: at once; at length [s]
 
 
 @dataclass(slots=True)
@@ -37,12 +39,31 @@ class Page:
     tries: PasswordTries = field(default_factory=PasswordTries)
     course_places: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(1))
     streams: dict[int, list[asyncio.Event]] = field(default_factory=dict)  # of each session, the oldest first
+    stops: dict[int, Allowance] = field(default_factory=dict)  # of each link to view that has stopped the rig
     is_exporting: bool = False  # the history is on its way to somebody
 
     @property
     def history(self) -> Path:
         """The daemon's database."""
         return Path(self.settings.history.path)
+
+    async def stop(self, visitor: Visitor, author: str) -> dict[str, Any]:
+        """Stop the rig. A stop is free for everybody, but a link to view can't defeat every release.
+
+        Errors : NotAllowed for a link whose stops were released again and again
+        """
+        own = None
+        if visitor.role is Role.VIEW:
+            own = self.stops.setdefault(visitor.link, Allowance(STOPS, 1.0 / STOPS_S, time.monotonic))
+            if not own.has_room:
+                if self.rig.is_stopped:
+                    return {"ok": True, "changed": False}
+                text = f"this link's stops were released {STOPS} times: ask who operates the rig, or wait"
+                raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, text)
+        reply = await self.rig.stop(author)
+        if own is not None and reply.get("changed", False):
+            own.take()
+        return reply
 
     async def visitor(self, request: Request) -> Visitor:
         """Return who asks. Errors: NotAllowed"""

@@ -109,7 +109,7 @@ async def acknowledge(page: Page, request: Request, visitor: Visitor) -> Respons
 
 async def stop(page: Page, request: Request, visitor: Visitor) -> Response:
     """Stop the rig."""
-    return passed_on(await page.rig.stop(_author(visitor)))
+    return passed_on(await page.stop(visitor, _author(visitor)))
 
 
 async def order(page: Page, request: Request, visitor: Visitor) -> Response:

@@ -167,9 +167,6 @@ def _pieces(
 @contextmanager
 def reading(path: str | Path, busy_s: float = BUSY_S, how: str = "mode=ro") -> Iterator[sqlite3.Connection]:
     """Open a read-only connection. how : parameters of SQLite's URI. Errors: DataError"""
-    # Not opened to look: closing it would drop the locks of other connections of this process.
-    if Path(path).exists() and not Path(path).is_file():
-        raise DataError(f"{path}: not a regular file")
     try:
         with closing(open_database(path, how, timeout=busy_s)) as connection:
             connection.text_factory = _text

@@ -1,12 +1,12 @@
 """A short form of `python -m bench.attack`: a few cases of each part, none of which may be violated."""
 
-import itertools
+import os
 from pathlib import Path
 
 import pytest
 
 from bench import kills
-from bench.attack import answers, files, floods, payloads, scenarios
+from bench.attack import answers, files, floods, links, payloads, scenarios
 from bench.attack.part import Part, TrialResult
 from bench.attack.plan import draw
 from bench.kills import PINS, KillPlan, one_kill, rig_in, run
@@ -46,13 +46,18 @@ def test_hostile_payloads_from_the_broker_break_nothing() -> None:
 
 
 @needs_mosquitto
-def test_a_flood_at_either_door_does_not_keep_a_stop_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flood_at_any_door_does_not_keep_a_stop_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(floods, "OBEYED_S", PATIENT_S)
     monkeypatch.setattr(floods, "WARM_UP_S", 0.3)
-    some = {name: floods.FLOODS[name] for name in ("socket: never read", "mqtt: 10 000 at once")}
+    names = ("socket: never read", "mqtt: 10 000 at once", "page: half bodies")
+    some = {name: floods.FLOODS[name] for name in names}
     monkeypatch.setattr(floods, "FLOODS", some)
-    trials = len(list(itertools.product(some, ("socket", "mqtt"), floods.STOPS)))
-    assert violations(floods.run, 11, trials // 2) == []
+    assert violations(floods.run, 11, len(some) * len(floods.WORDS)) == []
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be led astray")
+def test_root_is_led_nowhere_by_planted_links() -> None:
+    assert violations(links.run, 11, 12) == []
 
 
 @needs_mosquitto

@@ -17,7 +17,7 @@ from edge.formats.atomic_file import (
     write_document,
 )
 from edge.formats.input_file import read_file
-from edge.formats.owner import as_owner, open_database
+from edge.formats.owner import COMPANIONS, as_owner, open_database
 from edge.page.access import Access, Role
 from edge.sockets.stop_file import StopFile
 from edge.storage.file import connect
@@ -133,6 +133,11 @@ def test_a_fifo_is_neither_waited_for_nor_kept(tmp_path: Path) -> None:
         pass
     with pytest.raises(OSError, match="No such device"):
         open_to_overwrite(tmp_path / "numbers")
+    for ending in ("", *COMPANIONS):
+        os.mkfifo(tmp_path / f"history.db{ending}")
+        with pytest.raises(sqlite3.OperationalError, match=f"{ending} is not a regular file"):
+            open_database(tmp_path / "history.db")
+        (tmp_path / f"history.db{ending}").unlink()
 
 
 OPENS = {

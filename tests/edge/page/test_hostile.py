@@ -14,6 +14,7 @@ from history_records import HandClock, History, eventful_tick
 
 from bench.default_daemon import memory_of
 from edge.page.access import DAY_S, Role
+from edge.page.password_tries import TRIES_OF_ALL
 from edge.storage import Session, Storage
 from tests.support.hostile_requests import (
     KINDS,
@@ -115,6 +116,24 @@ def test_a_viewer_may_look_and_stop_and_nothing_else(page: PageProcess) -> None:
     assert viewer.post("/api/order", {"do": "emergency_stop"}).json()["waits"]
 
 
+def test_one_who_operates_ends_a_link_to_view_and_nothing_more(page: PageProcess, admin: Client) -> None:
+    operator, guest = page.client(Role.OPERATE), Client(page.base)
+    link = page.access.make_link(Role.VIEW, "class", DAY_S, None)
+    assert guest.post("/api/session", {"link": link}).ok
+    found = operator.get("/api/sessions").json()
+    assert {row["role"] for kind in ("sessions", "links", "people") for row in found[kind]} == {"view"}
+    [number] = [row["link"] for row in found["links"] if row["name"] == "class"]
+    above = next(
+        row["session"] for row in admin.get("/api/sessions").json()["sessions"] if row["role"] == "admin"
+    )
+    assert operator.send("DELETE", f"/api/sessions/{above}").status_code == 403
+    assert operator.send("DELETE", f"/api/links/{number}").ok
+    assert guest.get("/api/me").status_code == 401
+    assert guest.post("/api/session", {"link": link}).status_code == 401
+    for path in ("links/0", f"sessions/{9**40}", "sessions/-1", "sessions/x", "people/%00", "facts/network"):
+        assert operator.send("DELETE", f"/api/{path}").status_code in (400, 404), path
+
+
 def test_guessing_is_slowed_down(page: PageProcess) -> None:
     page.access.set_password("eve", Role.VIEW, "correct horse")
     nobody = page.client(None)
@@ -124,6 +143,18 @@ def test_guessing_is_slowed_down(page: PageProcess) -> None:
     assert codes[-1] == 429
     assert set(codes) <= {401, 429}
     assert nobody.post("/api/session", {"name": "eve", "password": "correct horse"}).status_code == 429
+
+
+def test_invented_names_lock_nobody_out_and_their_answers_are_those_of_known_ones(page: PageProcess) -> None:
+    page.access.set_password("ann", Role.VIEW, "correct horse")
+    nobody = page.client(None)
+    wrong = nobody.post("/api/session", {"name": "ann", "password": "battery staple"})
+    found = [
+        nobody.post("/api/session", {"name": f"nobody {k}", "password": "guess"})
+        for k in range(TRIES_OF_ALL + 10)
+    ]
+    assert {(each.status_code, each.text) for each in found} == {(401, wrong.text)}
+    assert nobody.post("/api/session", {"name": "ann", "password": "correct horse"}).ok
 
 
 def test_what_stands_in_a_text_reaches_the_browser_as_text(page: PageProcess, admin: Client) -> None:
