@@ -2,13 +2,13 @@
 
 A tick's age is counted against the smallest wall clock time among the last CLOCK_TICKS ticks, not against the
 clock of this moment: a clock that stood wrong for a while (no battery, no network yet) then deletes nothing.
-Ticks are thinned strictly in the order of their numbers. Those of a named run are kept.
+A tick dated in the future or before its neighbours has a wrong date, so its number decides: it is as old as
+the ticks around it, and none waits for it. Those of a named run are kept.
 """
 
 import json
 import math
 import sqlite3
-from itertools import takewhile
 from typing import Protocol
 
 WINDOW_S = 600  # width of a row of `ten_minutes`
@@ -59,7 +59,7 @@ def thin(connection: sqlite3.Connection, settings: RetentionSettings) -> tuple[b
     connection.execute("BEGIN IMMEDIATE")
     try:
         now = _recorded_utc(connection)
-        seqs = _old_ticks(connection, now - settings.downsample_after_days * DAY_S)
+        seqs = _old_ticks(connection, now - settings.downsample_after_days * DAY_S, now)
         dropped = _bound_outbox(connection, seqs)
         if seqs:
             _downsample(connection, seqs)
@@ -81,13 +81,17 @@ def _recorded_utc(connection: sqlite3.Connection) -> float:
     return -math.inf if utc is None else float(utc)
 
 
-def _old_ticks(connection: sqlite3.Connection, before_utc: float) -> list[int]:
+def _old_ticks(connection: sqlite3.Connection, before_utc: float, now_utc: float) -> list[int]:
+    """Return the lowest numbers up to the last tick that is older than the first young one by number."""
+    # The +: in the order of numbers up to the first that fits; an index by time would read all young ones.
+    young = "SELECT seq FROM ticks WHERE seq > 0 AND +utc BETWEEN :before AND :now ORDER BY seq LIMIT 1"
+    last = f"SELECT seq FROM ticks WHERE seq < ({young}) AND +utc < :before ORDER BY seq DESC LIMIT 1"
     rows = connection.execute(
-        "SELECT seq, utc FROM ticks WHERE seq > 0 AND NOT EXISTS"  # imported runs are named, and kept
-        " (SELECT 1 FROM runs WHERE seq BETWEEN runs.first_seq AND runs.last_seq) ORDER BY seq LIMIT ?",
-        (CHUNK_ROWS,),
+        f"SELECT seq FROM ticks WHERE seq > 0 AND seq <= ({last}) AND NOT EXISTS"  # named runs are kept
+        " (SELECT 1 FROM runs WHERE seq BETWEEN runs.first_seq AND runs.last_seq) ORDER BY seq LIMIT :rows",
+        {"before": before_utc, "now": now_utc, "rows": CHUNK_ROWS},
     )
-    return [seq for seq, _ in takewhile(lambda row: row[1] < before_utc, rows)]
+    return [seq for (seq,) in rows]
 
 
 def _bound_outbox(connection: sqlite3.Connection, seqs: list[int]) -> int:

@@ -149,6 +149,30 @@ def test_a_clock_that_stood_wrong_for_a_while_deletes_nothing(
     assert seqs(history) == list(range(1, 11))
 
 
+@pytest.mark.parametrize("wrong_s", [74 * 365 * DAY_S, -56 * 365 * DAY_S], ids=["2099", "1970"])
+@pytest.mark.parametrize("rows", [1, 7], ids=["one tick", "more than a chunk"])
+def test_a_wrong_date_in_the_middle_holds_up_no_thinning(
+    history: sqlite3.Connection, monkeypatch: pytest.MonkeyPatch, wrong_s: float, rows: int
+) -> None:
+    monkeypatch.setattr(retention, "CHUNK_ROWS", 5)
+    wrong = range(4, 4 + rows)
+    add(history, *(at(seq, 60.0 * seq + wrong_s * (seq in wrong)) for seq in range(1, 15)))
+    add(history, *recent(15, 600.0))
+    thin_all(history)
+    assert seqs(history) == list(range(1, 18))  # young by their numbers, whatever their date says
+    add(history, *recent(18, 2 * DAY_S))
+    thin_all(history)
+    assert seqs(history) == [18, 19, 20]
+    assert sum(row[1] for row in windows(history, "temp_air_c") if 0.0 <= row[0] < DAY_S) == 17 - rows
+
+
+def test_ticks_before_a_long_time_in_1970_are_not_taken_for_old(history: sqlite3.Connection) -> None:
+    add(history, *(at(seq, 60.0 * seq) for seq in range(1, 5)))
+    add(history, *recent(5, -56 * 365 * DAY_S))  # believed: it is 1970 now
+    thin_all(history)
+    assert seqs(history) == list(range(1, 8))
+
+
 def test_messages_too_old_to_be_sent_are_counted(history: sqlite3.Connection) -> None:
     add(history, at(1, 0.0), at(2, 60.0), *recent(3, 2 * DAY_S))
     assert thin_all(history) == 2
