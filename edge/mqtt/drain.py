@@ -34,10 +34,10 @@ class QueuedMessage(Protocol):
 
 
 class MessageQueue(Protocol):
-    """Rows in the order they were written; a row leaves by `acknowledge` alone."""
+    """Rows in the order they were written, resent ones last; a row leaves by `acknowledge` alone."""
 
     def pending(self, limit: int) -> Sequence[QueuedMessage]:
-        """Return at most `limit` messages, oldest first, those in flight included."""
+        """Return at most `limit` messages, those in flight included."""
         ...
 
     def acknowledge(self, ids: Sequence[int]) -> None:

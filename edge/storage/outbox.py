@@ -11,14 +11,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from edge.core.errors import RequestError
 from edge.core.messages import TickRecord
 from edge.formats.tick_json import event_json, tick_json
 from edge.storage.file import connect, identity
 from edge.storage.tick_rows import read_ticks
 
 BUSY_S = 5.0  # the writer holds its lock for milliseconds
+RESENDS_MAX = 20_000  # messages that wait to be sent again: two weeks of 60 s; more would crowd the disk
 _CHOSEN = "id IN (SELECT value FROM json_each(:ids))"
 _DELETE = f"DELETE FROM outbox WHERE {_CHOSEN}"
+_PENDING = "SELECT id, seq, event, is_resend FROM outbox WHERE is_resend = ? ORDER BY id LIMIT ?"
+_ABSENT = "NOT EXISTS (SELECT 1 FROM outbox o WHERE o.seq = s.seq AND o.event IS s.event)"
+_STORED = (
+    "SELECT seq, event FROM (SELECT seq, NULL AS event FROM ticks"
+    " UNION ALL SELECT seq, number FROM events JOIN ticks USING (seq)) AS s"
+    f" WHERE seq BETWEEN ? AND ? AND seq > 0 AND {_ABSENT} ORDER BY seq, event IS NULL, event LIMIT ?"
+)
 _GAPS_OF_GONE = (
     "INSERT INTO gaps SELECT seq, seq, CAST(strftime('%s', 'now') AS REAL),"
     " 'deleted or damaged before it was sent'"
@@ -50,16 +59,15 @@ class Outbox:
         self._history_id = ""
 
     def pending(self, limit: int) -> list[OutboxMessage]:
-        """Up to `limit` messages, oldest first; they stay until they are acknowledged.
+        """Up to `limit` messages, new ones before resent ones, oldest first; they stay until acknowledged.
 
         Rows whose tick or event is damaged, or was deleted by another hand, can't be sent: they go, and
         leave a gap.
         """
         connection = self._open()
         while True:
-            rows = connection.execute(
-                "SELECT id, seq, event, is_resend FROM outbox ORDER BY id LIMIT ?", (limit,)
-            ).fetchall()
+            rows = connection.execute(_PENDING, (0, limit)).fetchall()
+            rows += connection.execute(_PENDING, (1, limit - len(rows))).fetchall()
             ticks = read_ticks(connection, {seq for _, seq, _, _ in rows})
             gone = [id_ for id_, seq, event, _ in rows if seq not in ticks or not _has(ticks[seq], event)]
             if not gone:
@@ -72,17 +80,32 @@ class Outbox:
             self._connection.execute(_DELETE, {"ids": json.dumps(list(ids))})
 
     def resend(self, first_seq: int, last_seq: int) -> int:
-        """Queue stored ticks, both ends included, and their events again. Returns how many messages."""
+        """Queue stored ticks, both ends included, and their events again, but none that waits already.
+
+        Returns : how many messages of this span wait now. Errors: RequestError where not all fit; some may
+        """
         connection = self._open()
-        chosen = (first_seq, last_seq)
-        cursor = connection.execute(
-            "INSERT INTO outbox (seq, event, is_resend) SELECT seq, event, 1 FROM"
-            " (SELECT seq, NULL AS event FROM ticks"
-            " UNION ALL SELECT seq, number FROM events JOIN ticks USING (seq))"
-            " WHERE seq BETWEEN ? AND ? AND seq > 0 ORDER BY seq, event IS NULL, event",
-            chosen,
-        )
-        return cursor.rowcount
+        waiting = connection.execute("SELECT count(*) FROM outbox WHERE is_resend = 1").fetchone()[0]
+        room = max(0, RESENDS_MAX - waiting)
+        # Read first: the history's writer must not wait while a year of ticks is looked through.
+        rows = connection.execute(_STORED, (first_seq, last_seq, room + 1)).fetchall()
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            connection.executemany(
+                f"INSERT INTO outbox (seq, event, is_resend) SELECT seq, event, 1 FROM"
+                f" (SELECT ? AS seq, ? AS event) AS s WHERE {_ABSENT}",
+                rows[:room],
+            )
+            connection.execute("COMMIT")
+        finally:
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
+        of_span = "SELECT count(*) FROM outbox WHERE seq BETWEEN ? AND ? AND seq > 0"
+        queued: int = connection.execute(of_span, (first_seq, last_seq)).fetchone()[0]
+        if len(rows) > room:
+            full = f"{RESENDS_MAX} messages wait to be sent again, {queued} of them from this span"
+            raise RequestError(f"{full}: ask for the rest once they have been sent")
+        return queued
 
     def depth(self) -> int:
         """How many messages wait."""

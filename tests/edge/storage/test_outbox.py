@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from history_records import HandClock, History, eventful_tick, store, tick
 
+from edge.core.errors import RequestError
 from edge.formats.tick_json import event_json, tick_json
 from edge.storage import Outbox, OutboxMessage, Storage
 
@@ -99,6 +100,42 @@ def test_a_stretch_is_sent_again_and_says_so(
     outbox.acknowledge([message.id for message in outbox.pending(10)])
     assert outbox.resend(first, last) == len(expected)
     assert contents(outbox.pending(10)) == [("greenhouse/g1/history/tick", seq, None, 1) for seq in expected]
+
+
+@pytest.mark.parametrize("sent", [True, False], ids=["sent before", "still waiting"])
+def test_the_same_stretch_fifty_times_waits_once(path: Path, outbox: Outbox, sent: bool) -> None:
+    store(path, tick(1), eventful_tick(2), tick(3))
+    if sent:
+        outbox.acknowledge([message.id for message in outbox.pending(10)])
+    # 0 would mean that the rig does not have them: what waits from an earlier request is counted.
+    assert [outbox.resend(2, 3) for _ in range(50)] == [4] * 50
+    assert outbox.depth() == (4 if sent else 5)
+
+
+def test_a_new_tick_does_not_wait_for_what_is_sent_again(path: Path, outbox: Outbox) -> None:
+    store(path, *(tick(seq) for seq in range(1, 20)))
+    outbox.acknowledge([message.id for message in outbox.pending(100)])
+    outbox.resend(1, 19)
+    store(path, tick(20), tick(21))
+    assert [seq for _, seq, _, _ in contents(outbox.pending(3))] == [20, 21, 1]
+    assert len(outbox.pending(100)) == 21
+
+
+def test_what_waits_to_be_sent_again_is_bounded(
+    path: Path, outbox: Outbox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("edge.storage.outbox.RESENDS_MAX", 5)
+    store(path, *(tick(seq) for seq in range(1, 9)))
+    outbox.acknowledge([message.id for message in outbox.pending(100)])
+    assert outbox.resend(1, 3) == 3
+    with pytest.raises(RequestError, match="5 messages wait to be sent again, 2 of them from this span"):
+        outbox.resend(4, 8)
+    with pytest.raises(RequestError, match="0 of them from this span: ask for the rest"):
+        outbox.resend(6, 8)
+    first = outbox.pending(100)
+    outbox.acknowledge([message.id for message in first])
+    assert [seq for _, seq, _, _ in contents(first)] == [1, 2, 3, 4, 5]
+    assert outbox.resend(6, 8) == 3
 
 
 def test_events_are_sent_again_before_their_tick(path: Path, outbox: Outbox) -> None:
