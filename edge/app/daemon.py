@@ -30,7 +30,7 @@ from edge.bundle.store import BundleStore
 from edge.config.loading import config_hash
 from edge.config.settings import SensorCalibration, Settings
 from edge.controllers.external import External
-from edge.core.clock import Clock, RealClock, boot_id
+from edge.core.clock import Clock, Moment, RealClock, boot_id
 from edge.core.controller import Controller
 from edge.core.errors import ConfigError
 from edge.core.messages import TickRecord
@@ -41,7 +41,8 @@ from edge.safety.supervisor import SafetyMemory
 from edge.sockets.control_socket import ControlSocket
 from edge.sockets.external_proposals import ExternalProposals
 from edge.sockets.stop_file import StopFile
-from edge.state.store import DRIFT, LLM_BUDGET, SKILL, STANDING, restore
+from edge.state.codecs import carry_on
+from edge.state.store import DRIFT, LIMITS, LLM_BUDGET, SKILL, STANDING, restore
 from edge.state.writer import DriftTurns, HourlySink, StandingSink, StateWriter
 from edge.storage import FactBook, Session, Storage
 from edge.tick.calibration import formula
@@ -130,7 +131,11 @@ class Daemon:
             step_s = settings.control.step_s
             raise ConfigError(f"control: {reason or f'{self.experiment} needs a model for {step_s:g} s'}")
         first, why = models.first_controller()
-        standing, chosen = restore(STANDING, settings), ""
+        # Only the machine's clock goes on from process to process.
+        boot = boot_id() if isinstance(self.clock, RealClock) else ""
+        limits, box = restore(LIMITS, settings), bounds_of(settings.box.twin)
+        now = Moment(boot, self.clock.now(), self.clock.utc())
+        standing, chosen = carry_on(restore(STANDING, settings), limits, now, box.heater_w), ""
         # An experiment may lack models that its rig has, so the orders that come back after it are these.
         ordered = standing.operation
         settings = replace(settings, control=replace(settings.control, controller=first))
@@ -149,13 +154,11 @@ class Daemon:
         # First of all that is shared: where a daemon runs already nothing else is touched.
         socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post, stop_file)
         stack.callback(socket.close)
-        # Only the machine's clock goes on from process to process.
-        boot = boot_id() if isinstance(self.clock, RealClock) else ""
         session = Session(__version__, config_hash(settings), models.versions(), boot)
         storage = Storage(settings.history, self.clock, session)
         first_seq = storage.open()
         stack.callback(storage.close)
-        state = StandingSink(StateWriter(STANDING, settings))
+        state = StandingSink(StateWriter(STANDING, settings, LIMITS), self.clock, boot)
         stack.callback(state.writer.close)
         sinks: list[Sink] = [storage, state, skill, *self.more_sinks]
         sinks += [part for part in (bundles, nightly) if part]
@@ -175,7 +178,6 @@ class Daemon:
         )
         stack.callback(board.close)
         stack.callback(inbox.close)  # the first to close: nobody shall wait for a loop that has ended
-        box = bounds_of(settings.box.twin)
         rig = Rig(
             settings=settings,
             clock=self.clock,
@@ -202,11 +204,15 @@ class Daemon:
             stop_at_s=self.stop_at_s,
             drift=drift,
             box=box,
+            clocks=standing.at,
         )
         loop = Loop(rig, self._orders(standing.operation), standing.memory, first_seq)
         stack.callback(loop.close)
         if standing.broken:
             loop.note("state.broken", standing.broken)
+        if isinstance(limits, str) and (limits or settings.watering.enabled):
+            why = limits or "no record of what limits had used up before this start"
+            loop.announce("limits.unknown", f"{why}; no water for {settings.watering.soak_s / 60:g} min")
         if chosen:
             loop.announce("controller.chosen", chosen)
         self._announce(loop, standing.operation)

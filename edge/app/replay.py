@@ -248,4 +248,6 @@ def _driven_inputs(record: TickRecord) -> tuple[float, float]:
 
 
 def _forget(operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
-    """Keep nothing: a replay has no next start, and nobody to answer."""
+    """Keep nothing, as a replay has no next start: what waits for the disk goes on at once."""
+    if answered is not None:
+        answered("")

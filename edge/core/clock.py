@@ -2,6 +2,7 @@
 
 import select
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -43,6 +44,20 @@ def boot_id() -> str:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
         return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One moment by both clocks. boot_id : "" where the monotonic clock is of this process alone"""
+
+    boot_id: str
+    time_s: float
+    utc: float
+
+    def elapsed_s(self, now: "Moment") -> float:
+        """Return the time since then; after another boot only the wall clock tells, never less than 0."""
+        is_same_boot = self.boot_id == now.boot_id != ""
+        return now.time_s - self.time_s if is_same_boot else max(0.0, now.utc - self.utc)
 
 
 class RealClock:

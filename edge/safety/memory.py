@@ -31,16 +31,19 @@ class SafetyView:
 
 @dataclass(frozen=True, slots=True)
 class Dose:
-    """Water given once. `time_s` is None for one from before a restart: only `utc` is known then."""
+    """Water given once. `time_s` is None where only `utc` is known: in a state file."""
 
     time_s: float | None
     utc: float
     length_s: float
 
+    def age_s(self, now_s: float, utc: float) -> float:
+        """Return how long ago it was [s]; a clock set back makes it recent, never forgotten."""
+        return utc - self.utc if self.time_s is None else now_s - self.time_s
+
     def is_recent(self, now_s: float, utc: float) -> bool:
-        """Within the last 24 hours; a clock set back makes it recent, never forgotten."""
-        age_s = utc - self.utc if self.time_s is None else now_s - self.time_s
-        return not age_s >= DAY_S
+        """Within the last 24 hours."""
+        return not self.age_s(now_s, utc) >= DAY_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,7 @@ class SafetyMemory:
     fan_switches: tuple[float, ...] = ()  # times of the last hour's [s]
     heat: tuple[tuple[float, float], ...] = ()  # begin of a piece [s], heat in it [Wh]; the last 24 hours
     doses: tuple[Dose, ...] = ()
+    releases_until_s: float = 0.0  # each end of a stop moves it on; how far it may lie ahead is bounded
     thermal: ThermalMemory = field(default_factory=ThermalMemory)
 
 
@@ -121,5 +125,6 @@ def _fan_switches(before: Command, sent: Command, view: SafetyView) -> tuple[flo
 
 
 def survives_as(memory: SafetyMemory, other: SafetyMemory) -> bool:
-    """Return True where both leave the same behind for the next process."""
-    return (memory.trips, memory.doses) == (other.trips, other.doses)
+    """Return True where both leave the same behind for the next process, but for minutes of heat."""
+    first, second = ((m.trips, m.doses, m.heat[-1][0] if m.heat else None) for m in (memory, other))
+    return first == second

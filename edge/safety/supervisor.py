@@ -22,7 +22,6 @@ from edge.safety.memory import (
     SafetyView,
     book_heat,
     remember,
-    survives_as,
 )
 from edge.safety.rules import (
     CUTOFF_TRIPS,
@@ -64,7 +63,6 @@ __all__ = [
     "follow_calibration",
     "planning_limits",
     "supervise",
-    "survives_as",
 ]
 
 CLEAR_BELOW_K = 3.0  # a trip is cleared only when the air is this far below the trip, as on the board
@@ -167,12 +165,15 @@ def _look(
 ) -> tuple[SafetyMemory, tuple[PartFault, ...]]:
     """Thermal supervision of the time since the last decision; anew where something is not known."""
     echo, last_s = view.echo, memory.time_s
+    # A gap, or a restart, does not put off the next proof of the relay.
+    proof = replace(memory.thermal.proof, running_s=None, highest_c=-math.inf)
+    anew = replace(memory, thermal=ThermalMemory(proof=proof))
     # Hands are inside: a sensor that is held into warm water is no heat of a stuck relay. All is off anyway.
     if temp_air is None or echo is None or last_s is None or not view.link_up or view.maintenance:
-        return replace(memory, thermal=ThermalMemory()), ()
+        return anew, ()
     passed_s = view.now_s - last_s
     if not 0.0 <= passed_s <= max(GAP_MAX_S, GAP_MAX_STEPS * view.dt_s):
-        return replace(memory, thermal=ThermalMemory()), ()
+        return anew, ()
     moment = Observation(
         dt_s=passed_s,
         temp_air=temp_air,

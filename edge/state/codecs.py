@@ -6,13 +6,14 @@ A decoder raises an error for anything that its encoder does not write. Orders h
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.assistant.llm.budget import Spending
+from edge.core.clock import Moment
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import DataError
 from edge.core.plain_text import quote
@@ -22,7 +23,9 @@ from edge.drift.monitor import DriftMemory
 from edge.forecasts.skill import ErrorPair, SkillState, Width
 from edge.formats.cross_check import Rule
 from edge.formats.reader import read
-from edge.safety.memory import Dose, SafetyMemory
+from edge.safety.memory import DAY_S, HEAT_BUCKET_S, HOUR_S, Dose, SafetyMemory
+from edge.safety.relay_proof import RelayProof
+from edge.safety.thermal_supervision import ThermalMemory
 from edge.tick import orders_json
 from edge.tick.orders import Operation
 
@@ -48,6 +51,7 @@ class StandingState:
     operation: Operation
     memory: SafetyMemory
     broken: str = ""  # why the state file could not be understood
+    at: Moment = field(default_factory=lambda: Moment("", 0.0, 0.0))  # of the save
 
 
 def encode_standing(state: StandingState) -> dict[str, Any]:
@@ -82,6 +86,64 @@ def decode_safety(values: Mapping[str, Any]) -> SafetyMemory:
     found = read(SafetyDocument, values, key="safety")
     doses = tuple(Dose(None, utc, length_s) for utc, length_s in found.doses)
     return SafetyMemory(trips=found.trips, doses=doses)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What limits have used up, and how long the configured reference runs; times in seconds before `at`.
+
+    doses : age, utc, length; proof : of the relay, times since the last one, with heat, with the fan
+    releases_s : how far `releases_until_s` lies ahead
+    """
+
+    at: Moment
+    doses: tuple[tuple[Size, float, Size], ...]
+    heat: tuple[tuple[Size, Size], ...]
+    fan_switches: tuple[Size, ...]
+    proof: tuple[Size, Size, Size]
+    releases_s: Annotated[float, Rule(low=0.0, high=DAY_S)]
+    reference_start: tuple[str, Size] | None
+
+
+def encode_limits(state: StandingState) -> dict[str, Any]:
+    """Return `Limits`; `at` is of the save."""
+    memory, at, start = state.memory, state.at, state.operation.reference_start
+    proof = memory.thermal.proof
+    return {
+        "at": asdict(at),
+        "doses": [[max(0.0, d.age_s(at.time_s, at.utc)), d.utc, d.length_s] for d in memory.doses],
+        "heat": [[at.time_s - begin_s, wh] for begin_s, wh in memory.heat],
+        "fan_switches": [max(0.0, at.time_s - switched_s) for switched_s in memory.fan_switches],
+        "proof": [proof.since_s, proof.heated_s, proof.fanned_s],
+        "releases_s": max(0.0, memory.releases_until_s - at.time_s),
+        "reference_start": start and [start[0], at.time_s - start[1]],
+    }
+
+
+def carry_on(state: StandingState, limits: Limits | str, now: Moment, heater_w: float) -> StandingState:
+    """Return the state of the process before by the clocks of now; what it did not save counts as used.
+
+    limits : a text where they are not known
+    """
+    memory, now_s = state.memory, now.time_s
+    if isinstance(limits, str):  # an empty dose makes water wait for those that are not known
+        doses = (*memory.doses, Dose(now_s, now.utc, 0.0))
+        return replace(state, memory=replace(memory, doses=doses), at=now)
+    saved_s, start = now_s - limits.at.elapsed_s(now), limits.reference_start
+    unsaved_s = min(now_s - saved_s, HEAT_BUCKET_S)
+    unsaved_heat = (saved_s, heater_w * unsaved_s / HOUR_S)
+    memory = replace(
+        memory,
+        doses=tuple(Dose(saved_s - age_s, *dose) for age_s, *dose in limits.doses),
+        heat=(*((saved_s - age_s, wh) for age_s, wh in limits.heat), unsaved_heat),
+        fan_since_s=now_s,  # it went off with the process before, and may have been on unsaved
+        fan_switches=(*(saved_s - age_s for age_s in limits.fan_switches), now_s, now_s),
+        thermal=ThermalMemory(proof=RelayProof(*(seconds + unsaved_s for seconds in limits.proof))),
+        releases_until_s=saved_s + limits.releases_s,
+    )
+    operation = replace(state.operation, reference_start=start and (start[0], saved_s - start[1]))
+    clocks = replace(now, utc=limits.at.utc + now_s - saved_s)
+    return replace(state, operation=operation, memory=memory, at=clocks)
 
 
 def encode_skill(state: SkillState) -> dict[str, Any]:

@@ -11,6 +11,7 @@ and may be as old as its row says.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -22,6 +23,7 @@ from edge.core.errors import DataError
 from edge.drift.monitor import DriftMemory
 from edge.forecasts.skill import SkillState
 from edge.formats.atomic_file import read_document
+from edge.formats.reader import read
 from edge.safety.memory import SafetyMemory
 from edge.state import codecs
 from edge.state.codecs import StandingState
@@ -120,8 +122,19 @@ LLM_BUDGET = StoredValue(
     pause_s=60.0,  # five exchanges a step would be five writes
 )
 STORED: tuple[StoredValue[Any], ...] = (STANDING, SKILL, DRIFT, LLM_BUDGET)
+# A file of its own: software before it would take a state file with unknown keys for a damaged one.
+LIMITS: StoredValue[Any] = StoredValue(
+    codecs.Limits,
+    "safety (water, heat, fan switches, relay proof), tick (releases, start of the reference)",
+    "a day of water and heat, an hour of switches; a kill costs nothing, ten minutes of heat count as used",
+    _beside("limits.json"),
+    codecs.encode_limits,
+    partial(read, codecs.Limits),
+    lambda settings, why: why,
+)
 SURVIVORS: tuple[Survivor, ...] = (
     *STORED,
+    LIMITS,
     # Written by their owners: the command line changes bundles too, without a daemon.
     Survivor(
         Roles,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Generic
 
 from edge.config.settings import Settings
+from edge.core.clock import Clock, Moment
 from edge.core.messages import DriftState, TickRecord
 from edge.formats.atomic_file import write_document
 from edge.safety.memory import SafetyMemory
@@ -26,10 +27,11 @@ class StateWriter(Generic[Value]):
     """Writes the newest value in a thread of its own; older ones that wait are dropped.
 
     A value that could not be written is tried again, so that a disk that recovers holds it.
+    also : of the same value, written first
     """
 
-    def __init__(self, stored: StoredValue[Value], settings: Settings) -> None:
-        self._path = stored.place(settings)
+    def __init__(self, stored: StoredValue[Value], settings: Settings, *also: StoredValue[Value]) -> None:
+        self._documents = [(each.place(settings), each.encode) for each in (*also, stored)]
         self._stored = stored
         self._condition = threading.Condition()
         self._next: Value | None = None
@@ -82,13 +84,14 @@ class StateWriter(Generic[Value]):
                 self._condition.wait_for(lambda: self._closing, self._stored.pause_s)
 
     def _write(self, value: Value, answers: list[Answered]) -> None:
-        try:
-            write_document(self._path, self._stored.encode(value))
-        except Exception as error:  # a bug of a codec must not end the thread that saves a stop
-            self.failures += 1
-            self.last_error, self._unwritten = str(error) or repr(error), value
-        else:
-            self.last_error, self._unwritten = "", None
+        found = ""
+        for path, encode in self._documents:
+            try:
+                write_document(path, encode(value))
+            except Exception as error:  # a bug of a codec must not end the thread that saves a stop
+                self.failures += 1
+                found = str(error) or repr(error)
+        self.last_error, self._unwritten = found, value if found else None
         for answered in answers:
             answered(self.last_error)
 
@@ -101,10 +104,13 @@ class StandingSink:
     """Saves standing orders and trips at once; reports when the disk does not take them."""
 
     writer: StateWriter[StandingState]
+    clock: Clock
+    boot_id: str = ""
 
     def save(self, operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
         """Never waits; `answered` as in `StateWriter.save`."""
-        self.writer.save(StandingState(operation, memory), answered)
+        at = Moment(self.boot_id, self.clock.now(), self.clock.utc())
+        self.writer.save(StandingState(operation, memory, at=at), answered)
 
     def write(self, record: TickRecord) -> None:
         """Nothing to do with a tick."""

@@ -22,11 +22,13 @@ RESENDS_MAX = 20_000  # messages that wait to be sent again: two weeks of 60 s; 
 _CHOSEN = "id IN (SELECT value FROM json_each(:ids))"
 _DELETE = f"DELETE FROM outbox WHERE {_CHOSEN}"
 _PENDING = "SELECT id, seq, event, is_resend FROM outbox WHERE is_resend = ? ORDER BY id LIMIT ?"
-_ABSENT = "NOT EXISTS (SELECT 1 FROM outbox o WHERE o.seq = s.seq AND o.event IS s.event)"
-_STORED = (
-    "SELECT seq, event FROM (SELECT seq, NULL AS event FROM ticks"
+_RESEND = (
+    "INSERT INTO outbox (seq, event, is_resend) SELECT seq, event, 1 FROM"
+    " (SELECT seq, NULL AS event FROM ticks"
     " UNION ALL SELECT seq, number FROM events JOIN ticks USING (seq)) AS s"
-    f" WHERE seq BETWEEN ? AND ? AND seq > 0 AND {_ABSENT} ORDER BY seq, event IS NULL, event LIMIT ?"
+    " WHERE seq BETWEEN ? AND ? AND seq > 0"
+    " AND NOT EXISTS (SELECT 1 FROM outbox o WHERE o.seq = s.seq AND o.event IS s.event)"
+    " ORDER BY seq, event IS NULL, event LIMIT ?"
 )
 _GAPS_OF_GONE = (
     "INSERT INTO gaps SELECT seq, seq, CAST(strftime('%s', 'now') AS REAL),"
@@ -87,22 +89,10 @@ class Outbox:
         connection = self._open()
         waiting = connection.execute("SELECT count(*) FROM outbox WHERE is_resend = 1").fetchone()[0]
         room = max(0, RESENDS_MAX - waiting)
-        # Read first: the history's writer must not wait while a year of ticks is looked through.
-        rows = connection.execute(_STORED, (first_seq, last_seq, room + 1)).fetchall()
-        connection.execute("BEGIN IMMEDIATE")
-        try:
-            connection.executemany(
-                f"INSERT INTO outbox (seq, event, is_resend) SELECT seq, event, 1 FROM"
-                f" (SELECT ? AS seq, ? AS event) AS s WHERE {_ABSENT}",
-                rows[:room],
-            )
-            connection.execute("COMMIT")
-        finally:
-            if connection.in_transaction:
-                connection.execute("ROLLBACK")
+        cursor = connection.execute(_RESEND, (first_seq, last_seq, room))
         of_span = "SELECT count(*) FROM outbox WHERE seq BETWEEN ? AND ? AND seq > 0"
         queued: int = connection.execute(of_span, (first_seq, last_seq)).fetchone()[0]
-        if len(rows) > room:
+        if cursor.rowcount == room:
             full = f"{RESENDS_MAX} messages wait to be sent again, {queued} of them from this span"
             raise RequestError(f"{full}: ask for the rest once they have been sent")
         return queued

@@ -17,7 +17,7 @@ class TickTime:
 
     now_s: float
     utc: float
-    since_start_s: float  # the axis of a reference that is not daily
+    since_start_s: float  # of the configured reference: the axis of one that is not daily
     since_midnight_s: float  # local
     step_s: float
 

@@ -12,9 +12,10 @@ from dataclasses import replace
 from functools import partial
 
 from edge.config.settings import CalibrationSettings
+from edge.core.clock import Moment
 from edge.core.controller import Context
 from edge.core.errors import RequestError
-from edge.core.event_log import Allowance, EventLog
+from edge.core.event_log import EventLog
 from edge.core.messages import (
     AirSensorPair,
     Change,
@@ -28,6 +29,7 @@ from edge.core.messages import (
     TickRecord,
 )
 from edge.core.plain_text import fan_in_words
+from edge.safety.memory import Dose, survives_as
 from edge.safety.supervisor import (
     SafetyMemory,
     SafetyVerdict,
@@ -36,14 +38,13 @@ from edge.safety.supervisor import (
     follow_calibration,
     planning_limits,
     supervise,
-    survives_as,
 )
 from edge.tick.calibration import RawMinute, SensorDesk, in_force, point_words, states
 from edge.tick.context import TickTime, context_of
 from edge.tick.decider import Decider
 from edge.tick.faults import Conditions
 from edge.tick.inbox import ORDINARY, Letter, Reply, Request
-from edge.tick.light_and_water import Watering, led_level
+from edge.tick.light_and_water import led_level, watering_pulse
 from edge.tick.orders import (
     UTC_MAX,
     Desk,
@@ -74,6 +75,7 @@ SINK_FAULTS = (
     "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused",
     "output.behind", "telemetry.flooded",
 )  # fmt: skip
+Booking = tuple[Dose, list[str]]  # a dose that goes to the disk before it is given, and the disk's answers
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
 
 
@@ -88,14 +90,14 @@ class Loop:
         self._step_s = rig.settings.control.step_s
         self._start_s = rig.clock.now()  # of the tick grid, set anew when the board is there
         self._sent = Command()
-        self._wall_minus_monotonic = rig.clock.utc() - rig.clock.now()
+        clocks = rig.clocks or Moment("", self._start_s, rig.clock.utc())
+        self._wall_minus_monotonic = clocks.utc - clocks.time_s
         self._jump_s = 0.0  # of the wall clock since the last tick
         self._followed_s = self._start_s  # until when the profile's time has been counted
-        self._releases = Allowance(RELEASES, 1.0 / RELEASE_EVERY_S, rig.clock.now)
         self._conditions = Conditions()
         self._events = EventLog(ORDERS_TOLD)
         self._decider = Decider(rig.controllers, rig.settings.control, self._conditions, self._answer_urgent)
-        self._watering = Watering(rig.settings.watering)
+        self._booking: Booking | None = None  # by the last tick, of water that has not been given yet
         self._stopping = False
         rig.sensors.calibrate(self._calibration(), self._start_s)
         self._shown = self._outputs()  # what was published last
@@ -105,8 +107,12 @@ class Loop:
         """Tick on a fixed grid until stopped; then all off, confirmed by a board that still answers."""
         number = skipped = 0  # number: of the grid point that is next
         try:
+            self._follow_clock()
             self._stop_board()
             self._wait_for_board()
+            start = (self._rig.reference.sha256, self._reference_start_s())
+            self._operation = replace(self._operation, reference_start=start)
+            self._rig.save_state(self._operation, self._memory)
             while self._serve_until(self._start_s + number * self._step_s):
                 now = self._rig.clock.now()
                 late_s = now - (self._start_s + number * self._step_s)
@@ -139,6 +145,7 @@ class Loop:
         """One step of control: the arrow."""
         rig, utc = self._rig, self._rig.clock.utc()
         self._follow_clock()
+        booking = self._take_booking()
         if exchanged := rig.models.exchange(rig.estimator, rig.controllers):
             self._tell("models.exchanged", Severity.INFO, exchanged, now)
         readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
@@ -151,7 +158,7 @@ class Loop:
         wanted, orders = self._apply_orders(
             self._with_light_and_water(decision.command, readings, now, utc), utc
         )
-        verdict = self._supervise(wanted, readings, estimate, now, utc)
+        verdict = self._book(self._supervise(wanted, readings, estimate, now, utc), booking)
         echo = self._drive(verdict)
         # Forecasts start from what the board was sent, not from what the controller wanted.
         rig.estimator.record_sent(self._sent)
@@ -191,9 +198,15 @@ class Loop:
     def _context(self, estimate: Estimate, now: float, utc: float) -> Context:
         rig = self._rig
         limits = planning_limits(self._memory, rig.settings.safety, now, self._step_s, rig.box)
-        moment = TickTime(now, utc, now - self._start_s, seconds_of_day(utc, rig.zone), self._step_s)
+        since_s = now - self._reference_start_s()
+        moment = TickTime(now, utc, since_s, seconds_of_day(utc, rig.zone), self._step_s)
         history = rig.estimator.history()
         return context_of(moment, self._operation, rig.reference, history, estimate, self._sent, limits)
+
+    def _reference_start_s(self) -> float:
+        """Return when the configured reference began: at this start, if it was another one before."""
+        start = self._operation.reference_start
+        return start[1] if start is not None and start[0] == self._rig.reference.sha256 else self._start_s
 
     def _end_steering(self, now: float, utc: float) -> None:
         """Expire the operator's request and emit one event."""
@@ -225,10 +238,11 @@ class Loop:
         self._wall_minus_monotonic = utc - now
         self._jump_s += jump_s
         until = self._operation.maintenance_until_utc
-        if until is None or abs(jump_s) <= CLOCK_JUMP_S or has_lost_date(until, utc - jump_s):
+        if abs(jump_s) <= CLOCK_JUMP_S:
             return
-        moved = min(max(until + jump_s, 0.0), UTC_MAX)
-        self._operation = replace(self._operation, maintenance_until_utc=moved)
+        if until is not None and not has_lost_date(until, utc - jump_s):
+            moved = min(max(until + jump_s, 0.0), UTC_MAX)
+            self._operation = replace(self._operation, maintenance_until_utc=moved)
         self._rig.save_state(self._operation, self._memory)
 
     def _end_maintenance(self, now: float, utc: float) -> None:
@@ -250,9 +264,28 @@ class Loop:
         """Heater and fan are the controller's, light too where it asks for it; else simple rules decide."""
         level = led_level(self._rig.settings.lighting, seconds_of_day(utc, self._rig.zone))
         level = max(level, command.led)
-        return replace(
-            command, led=level, valve_pulse_s=self._watering.pulse(readings.get("soil_moisture"), now)
-        )
+        watering, soil = self._rig.settings.watering, readings.get("soil_moisture")
+        pulse_s = watering_pulse(watering, soil, self._memory.doses, now, utc)
+        return replace(command, led=level, valve_pulse_s=pulse_s)
+
+    def _take_booking(self) -> Booking | None:
+        """Return the dose that the last tick has booked, and take it back: this tick decides on it."""
+        booking, self._booking = self._booking, None
+        doses = tuple(dose for dose in self._memory.doses if booking is None or dose is not booking[0])
+        self._memory = replace(self._memory, doses=doses)
+        return booking
+
+    def _book(self, verdict: SafetyVerdict, booking: Booking | None) -> SafetyVerdict:
+        """Hold a pulse back until its dose is on the disk: no kills can give more than the dose of a day."""
+        pulse_s = verdict.sent.valve_pulse_s
+        if pulse_s == 0.0 or (booking and pulse_s <= booking[0].length_s and "" in booking[1]):
+            return verdict
+        answers: list[str] = []
+        self._booking = self._memory.doses[-1], answers
+        self._rig.save_state(self._operation, self._memory, answers.append)
+        change = Change("valve.unsaved", "valve_pulse", pulse_s, 0.0, "its dose goes to the disk first")
+        sent = replace(verdict.sent, valve_pulse_s=0.0)
+        return replace(verdict, sent=sent, changes=(*verdict.changes, change))
 
     def _supervise(
         self, wanted: Command, readings: Mapping[str, Reading], estimate: Estimate, now: float, utc: float
@@ -281,9 +314,6 @@ class Loop:
         board = self._rig.board
         board.drive(verdict.sent, verdict.open_cutoff, self._step_s)
         echo = board.serve_until_echo(min(ECHO_TIMEOUT_S, self._step_s / 2)) if board.link_up else None
-        self._watering.count_pulse(
-            verdict.sent.valve_pulse_s if board.link_up else 0.0, self._rig.clock.now()
-        )
         self._sent = Command() if echo is None else _driven_command(echo)
         return echo
 
@@ -423,6 +453,7 @@ class Loop:
             dict(board.statistics),
             self._conditions.standing(),
             tuple(states(operation.points, operation.calibrations, configured, raw)),
+            now - self._reference_start_s(),
         )
 
     def _order(self, request: Request) -> str:
@@ -432,8 +463,11 @@ class Loop:
         self._follow_profile(clock.now(), clock.utc())
         before = self._operation
         after = operate(before, request, self._desk())
-        if is_released(before, after) and not self._releases.take():
-            raise RequestError(RELEASED_TOO_OFTEN)
+        if is_released(before, after):
+            until_s = max(self._memory.releases_until_s, clock.now()) + RELEASE_EVERY_S
+            if until_s - clock.now() > RELEASES * RELEASE_EVERY_S:
+                raise RequestError(RELEASED_TOO_OFTEN)
+            self._memory = replace(self._memory, releases_until_s=until_s)
         self._operation = after
         warning = self._order_board(request)
         self._tell("operator.order", Severity.INFO, in_words(request), clock.now())

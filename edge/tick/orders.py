@@ -156,6 +156,9 @@ class Operation:
     profile: StandingProfile | None = None  # stands in the place of the configured reference
     points: tuple[CalibrationPoint, ...] = ()  # taken and not yet applied
     calibrations: tuple[StandingCalibration, ...] = ()  # one a signal, in the place of the configured one
+    reference_start: tuple[str, float] | None = (
+        None  # of the configured reference: its sha256, since when [s]
+    )
 
     def steering_at(self, utc: float) -> Steering | None:
         """None once it has ended."""

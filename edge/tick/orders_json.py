@@ -24,10 +24,9 @@ def to_dict(operation: Operation) -> dict[str, Any]:
         "mode": operation.mode.value,
         "fan_mode": operation.fan_mode.value,
         "manual": _manual_dict(operation.manual),
-        "steering": _steering_dict(operation.steering),
-        "before": None if operation.before is None else _before_dict(operation.before),
     }
     profile, points, calibrations = (values.pop(key) for key in ("profile", "points", "calibrations"))
+    del values["reference_start"]  # monotonic, see `edge.state.codecs.Limits`
     if profile is not None:
         values["profile"] = _under_keys(StandingProfile, profile)
     return values | {
@@ -43,14 +42,6 @@ def _under_keys(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
 def _manual_dict(manual: Command) -> dict[str, Any]:
     """Return it without a share: a person's fan is on or off, and earlier software knows no share."""
     return {key: value for key, value in asdict(manual).items() if key != "fan_share"}
-
-
-def _before_dict(before: Before) -> dict[str, Any]:
-    return {"reference_c": before.reference_c, "steering": _steering_dict(before.steering)}
-
-
-def _steering_dict(steering: Steering | None) -> dict[str, Any] | None:
-    return None if steering is None else steerings.to_dict(steering)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,17 +86,4 @@ def _check_steering(steering: Steering | None, key: str) -> None:
 def from_dict(values: Mapping[str, Any]) -> Operation:
     """Invert `to_dict`. Errors: DataError on values that `to_dict` never wrote"""
     found = read(OperationDocument, values, key="operation")
-    return Operation(
-        found.controller,
-        found.mode,
-        found.fan_mode,
-        found.reference_c,
-        found.manual,
-        found.emergency_stop,
-        found.maintenance_until_utc,
-        found.steering,
-        found.before,
-        found.profile,
-        found.points,
-        found.calibrations,
-    )
+    return Operation(**{item.name: getattr(found, item.name) for item in fields(OperationDocument)})

@@ -1,5 +1,6 @@
 """The target of the air temperature over time: constant, steps, daily, a ramp, or a CSV profile."""
 
+import hashlib
 from dataclasses import dataclass
 from datetime import datetime, tzinfo
 from pathlib import Path
@@ -25,6 +26,12 @@ class Reference:
     values_c: Floats  # same length [°C]
     daily: bool = False
     linear: bool = False  # between two breakpoints: a line, else the earlier value holds
+
+    @property
+    def sha256(self) -> str:
+        """Return what tells this reference from another one."""
+        content = self.times_s.tobytes() + self.values_c.tobytes() + bytes([self.daily, self.linear])
+        return hashlib.sha256(content).hexdigest()
 
     def at(self, since_start_s: Floats, since_midnight_s: Floats) -> Floats:
         """Targets at the given times, both axes of one shape [°C]."""

@@ -7,7 +7,7 @@ from datetime import tzinfo
 from typing import Protocol
 
 from edge.config.settings import Settings
-from edge.core.clock import Clock
+from edge.core.clock import Clock, Moment
 from edge.core.controller import Columns, Controller
 from edge.core.messages import (
     AirSensorPair,
@@ -206,3 +206,4 @@ class Rig:
     stop_at_s: float = math.inf  # end of an experiment
     drift: DriftWatch | None = None  # watches the running twin
     box: BoxBounds = PAPER_BOX
+    clocks: Moment | None = None  # what they show together if nobody has set one since the process before

@@ -28,6 +28,7 @@ class LoopStatus:
     line: Mapping[str, int]
     conditions: tuple[str, ...] = ()  # rows of the failure table that hold
     calibration: tuple[CalibrationState, ...] = ()
+    reference_time_s: float = 0.0  # on the axis of a configured reference that is not daily
 
 
 def status_json(status: LoopStatus) -> dict[str, Any]:
@@ -36,6 +37,7 @@ def status_json(status: LoopStatus) -> dict[str, Any]:
     return {
         "operation": to_dict(status.operation),
         "since_start_s": status.since_start_s,
+        "reference_time_s": status.reference_time_s,
         "trips": list(status.trips),
         "tick": None if record is None else tick_json(record),
         "plan": [] if record is None else [list(map(number, step)) for step in record.decision.plan],

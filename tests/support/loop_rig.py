@@ -1,5 +1,6 @@
 """A loop wired to a board, a clock and controllers of a few lines each; time moves when a test says so."""
 
+import json
 import math
 import queue
 import time
@@ -9,6 +10,7 @@ from typing import Any
 
 from edge.config import loading as config
 from edge.config.settings import Settings
+from edge.core.clock import Moment
 from edge.core.controller import Context
 from edge.core.messages import (
     AirSensorPair,
@@ -22,6 +24,8 @@ from edge.core.messages import (
 )
 from edge.models.arx_file import read_arx
 from edge.safety.supervisor import SafetyMemory
+from edge.state.codecs import StandingState, carry_on, decode_standing, encode_limits, encode_standing
+from edge.state.store import LIMITS
 from edge.tick.estimator import Estimator
 from edge.tick.inbox import Inbox, Letter, Reply
 from edge.tick.loop import Loop
@@ -67,6 +71,7 @@ class FakeBoard:
     maintained: bool = False
     stops: int = 0
     cleared: int = 0
+    soil: float | None = None  # of a board that waters, whose tank is full
     _sampled_s: float = -1.0
 
     @property
@@ -81,11 +86,12 @@ class FakeBoard:
         samples = []
         while self.link_up and self._sampled_s + 1.0 <= self.clock.now_s:
             self._sampled_s += 1.0
+            others = {"temp_ambient": 21.0}
+            if self.soil is not None:
+                others |= {"soil_moisture": self.soil, "tank_level": 1.0}
             samples.append(
-                {
-                    "temp_air": Reading("temp_air", self.temp_air, self._sampled_s, self.quality),
-                    "temp_ambient": Reading("temp_ambient", 21.0, self._sampled_s, ReadingQuality.GOOD),
-                }
+                {"temp_air": Reading("temp_air", self.temp_air, self._sampled_s, self.quality)}
+                | {k: Reading(k, v, self._sampled_s, ReadingQuality.GOOD) for k, v in others.items()}
             )
         return samples
 
@@ -187,6 +193,8 @@ class LoopRig:
     disk_works: bool = True
     shown: list[Echo | None] = field(default_factory=list)
     settings: Settings = field(default_factory=config.default)
+    boot_id: str = "boot"
+    documents: tuple[str, str] | None = None  # as they are on the disk: standing orders, limits
 
     def __post_init__(self) -> None:
         self.board = FakeBoard(self.clock)
@@ -195,6 +203,9 @@ class LoopRig:
             safety=replace(self.settings.safety, heater_rise_per_s=1.0),
             control=replace(self.settings.control, decision_deadline_s=0.1),
         )
+        self._start(StandingState(Operation("MPC"), SafetyMemory()), None)
+
+    def _start(self, state: StandingState, clocks: Moment | None) -> None:
         model = read_arx()
         control = self.settings.control
         rig = Rig(
@@ -212,9 +223,32 @@ class LoopRig:
             inbox=self.inbox,
             save_state=self._save,
             show=lambda status: self.shown.append(status.echo),
+            clocks=clocks,
         )
         self.rig = rig
-        self.loop = Loop(rig, Operation("MPC"), SafetyMemory(), first_seq=1)
+        self.loop = Loop(rig, state.operation, state.memory, first_seq=1)
+
+    def now(self) -> Moment:
+        return Moment(self.boot_id, self.clock.now(), self.clock.utc())
+
+    def kill(self, off_s: float = 5.0, jump_s: float = 0.0, boot_id: str = "boot") -> None:
+        """Begin again from the documents on the disk. jump_s : of the wall clock while nothing ran"""
+        utc = self.clock.utc() + off_s + jump_s
+        self.clock.now_s = self.clock.now_s + off_s if boot_id == self.boot_id else 20.0
+        self.clock.utc_offset, self.boot_id = utc - self.clock.now_s, boot_id
+        self.board._sampled_s = self.clock.now_s - 1.0
+        self.loop.close()
+        state, limits = StandingState(Operation("MPC"), SafetyMemory()), ""
+        if self.documents is not None:
+            state = decode_standing(json.loads(self.documents[0]))
+            limits = LIMITS.decode(json.loads(self.documents[1])) if self.documents[1] else "damaged"
+        state = carry_on(state, limits, self.now(), self.rig.box.heater_w)
+        self._start(state, state.at)
+
+    def run(self, seconds: float) -> None:
+        """Let the loop tick by itself for so long, from its start on; nothing is saved at the end."""
+        self.loop._rig = replace(self.rig, stop_at_s=self.clock.now_s + seconds)
+        self.loop.run()
 
     def tick(self, after_s: float = 60.0) -> TickRecord:
         """Let time pass, then tick."""
@@ -229,6 +263,9 @@ class LoopRig:
 
     def _save(self, operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
         self.saved.append(operation)
+        if self.disk_works:
+            state = StandingState(operation, memory, at=self.now())
+            self.documents = (json.dumps(encode_standing(state)), json.dumps(encode_limits(state)))
         if answered is not None:
             self.save_answers.append(answered)
             if self.disk_works:

@@ -204,7 +204,7 @@ def predict_day(
     if temp is None or ambient is None or not math.isfinite(temp + ambient):
         return {"reason": "the air temperature is not known now"}
     midnight_s = seconds_of_day(tick["utc"], zone_of(settings.timezone))
-    here = DayStart(temp, ambient, status["since_start_s"], midnight_s)
+    here = DayStart(temp, ambient, status["reference_time_s"], midnight_s)
     standing = operation["steering"] and steering_from_dict(operation["steering"])
     configured = in_force(operation["reference_c"], standing, _without_words(status, settings))
     before = _goal(configured, standing, operation["controller"], settings)
@@ -221,7 +221,7 @@ def predict_day(
 def _without_words(status: Mapping[str, Any], settings: Settings) -> Reference:
     """Return the reference where nobody has set one by hand or in words."""
     profile = profile_of(status["operation"])
-    return profile.reference(status["since_start_s"]) if profile else make_reference(settings.reference)
+    return profile.reference(status["reference_time_s"]) if profile else make_reference(settings.reference)
 
 
 def _goal(

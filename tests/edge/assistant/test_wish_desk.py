@@ -246,7 +246,7 @@ def test_heat_is_that_of_the_twins_own_heater() -> None:
 def status(**operation: Any) -> dict[str, Any]:
     return {
         "tick": {"utc": 0.0, "reference_c": 24.0, "estimate": {"temp_air_c": 22.0, "temp_ambient_c": 21.0}},
-        "since_start_s": 0.0,
+        "reference_time_s": 0.0,
         "operation": {"reference_c": None, "steering": None, "controller": "MPC", **operation},
     }
 
@@ -267,7 +267,8 @@ def test_steps_are_predicted_from_where_they_stand() -> None:
     settings = config.parse(f"timezone: UTC\nreference: {steps}")
     asked = replace(NIGHT, daily=(), heater_max_duty=None)
     fresh, later = (
-        predict_day(TWIN, status() | {"since_start_s": since_s}, asked, settings) for since_s in (0.0, 3600.0)
+        predict_day(TWIN, status() | {"reference_time_s": since_s}, asked, settings)
+        for since_s in (0.0, 3600.0)
     )
     assert fresh["now"]["temp_air_low_c"] < 24.5
     assert later["now"]["heat_wh"] > fresh["now"]["heat_wh"] + 20.0  # an hour more at 30 degrees

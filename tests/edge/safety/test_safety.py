@@ -24,7 +24,7 @@ from edge.config.settings import SafetySettings
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command, Reading, ReadingQuality, Severity
 from edge.safety.box_bounds import PAPER_BOX, unknown_box
-from edge.safety.memory import DAY_S, Dose, book_heat, heat_wh, water_s
+from edge.safety.memory import DAY_S, Dose, book_heat, heat_wh, survives_as, water_s
 from edge.safety.relay_proof import EVERY_S, RelayProof
 from edge.safety.rules import duty_below_trip, energy_duty
 from edge.safety.supervisor import (
@@ -33,7 +33,6 @@ from edge.safety.supervisor import (
     follow_calibration,
     planning_limits,
     supervise,
-    survives_as,
 )
 from edge.safety.thermal_supervision import ThermalMemory
 from edge.state.codecs import decode_safety, encode_safety
@@ -776,11 +775,22 @@ def test_trips_and_water_outlive_the_process():
     [
         ({"trips": ("over_temperature",)}, False),
         ({"doses": (Dose(NOW, UTC, 2.0),)}, False),
-        ({"heat": ((NOW, 1.0),), "time_s": NOW, "sent": Command(heater_duty=0.5)}, True),
+        ({"heat": ((NOW - 600.0, 5.0), (NOW, 1.0))}, False),  # every ten minutes of heat
+        ({"heat": ((NOW - 600.0, 5.5),), "time_s": NOW, "sent": Command(heater_duty=0.5)}, True),
+        ({"heat": ()}, False),
     ],
 )
-def test_a_change_of_trips_or_water_calls_for_a_save(change, same):
-    assert survives_as(replace(SafetyMemory(), **change), SafetyMemory()) is same
+def test_a_change_of_trips_water_or_pieces_of_heat_calls_for_a_save(change, same):
+    before = SafetyMemory(heat=((NOW - 600.0, 5.0),))
+    assert survives_as(replace(before, **change), before) is same
+
+
+@pytest.mark.parametrize("last_s", [None, NOW - 1000.0], ids=["after a start", "after a gap"])
+def test_no_gap_puts_off_the_next_proof_of_the_relay(last_s):
+    proof = RelayProof(since_s=300.0, heated_s=200.0, fanned_s=100.0, running_s=50.0, highest_c=30.0)
+    memory = SafetyMemory(time_s=last_s, thermal=replace(WATCHED, proof=proof))
+    kept = RelayProof(since_s=300.0, heated_s=200.0, fanned_s=100.0)
+    assert judge(Command(), memory=memory).memory.thermal == ThermalMemory(proof=kept)
 
 
 @pytest.mark.parametrize("length_s", [0.0, 0.1, 1.0])
