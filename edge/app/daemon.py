@@ -5,7 +5,7 @@ import secrets
 import signal
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from edge.app.active_models import ActiveModels
 from edge.app.box import bounds_of
 from edge.app.nightly_diagnosis import NightlyDiagnosis, Places
 from edge.app.request_routes import Commissioning, Routes, ShowState, outbox_of
+from edge.app.running_rigs import register
 from edge.assistant.llm.language_model import LanguageModel, open_language_model
 from edge.assistant.requests.answer import settings_from
 from edge.assistant.requests.desk import DeskParts, WishDesk
@@ -154,6 +155,9 @@ class Daemon:
         # First of all that is shared: where a daemon runs already nothing else is touched.
         socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post, stop_file)
         stack.callback(socket.close)
+        with suppress(OSError):  # a user who cannot write there: the rig runs, and orders need --socket
+            if isinstance(self.clock, RealClock) and (entry := register(settings)) is not None:
+                stack.callback(entry.unlink, missing_ok=True)
         session = Session(__version__, config_hash(settings), models.versions(), boot)
         storage = Storage(settings.history, self.clock, session)
         first_seq = storage.open()

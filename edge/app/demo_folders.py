@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from edge.core.errors import RequestError
-from edge.sockets.client import NobodyListens, request
+from edge.sockets.client import listens
 
 SOCKET = "control.sock"
 HISTORY = "history.db"
@@ -55,8 +55,8 @@ def make_demo_folder(out: Path | None) -> Path:
 
 
 def running_demos() -> list[Path]:
-    """Return the folders of the demos that answer, newest first."""
-    return [folder for folder in _folders() if _answers(folder / SOCKET)]
+    """Return the folders of the demos that listen, newest first."""
+    return [folder for folder in _folders() if listens(folder / SOCKET)]
 
 
 def last_history() -> Path | None:
@@ -79,18 +79,6 @@ def _is_ours(home: Path) -> bool:
     except OSError:
         return False
     return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
-
-
-def _answers(path: Path) -> bool:
-    if not path.exists():
-        return False
-    try:
-        request(path, {"do": "status"}, timeout_s=5.0)
-    except NobodyListens:
-        return False
-    except RequestError:
-        return True  # busy is running
-    return True
 
 
 def _remove_ended(home: Path) -> None:

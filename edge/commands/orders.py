@@ -5,15 +5,22 @@ page that `status` prints.
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
+from edge.app.running_rigs import RunningRig
 from edge.assistant.why.ask_history import reasons
 from edge.commands.arguments import number, whole
-from edge.commands.which_rig import add_socket, socket_of
+from edge.commands.which_rig import add_socket, rigs_of, socket_of
+from edge.core.errors import GreenhouseError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
+from edge.core.plain_text import plain
+from edge.formats.owner import as_owner
 from edge.sockets.client import request
+from edge.sockets.stop_file import LEFT, StopFile
 from edge.tick.inbox import is_in_force, is_urgent
 from edge.tick.orders import FanMode, Mode
 from edge.tick.standing_profile import profile_of
@@ -24,6 +31,8 @@ ENDED_BY = {
     "emergency_stop": "`greenhouse release` ends it",
     "maintenance": "`greenhouse maintenance 0` ends it",
 }
+
+STOP_MAX_S = 3.0  # after which a daemon counts as one that does not answer
 
 Json = Mapping[str, Any]
 
@@ -236,16 +245,48 @@ def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Ask, print the answer; 1 when the daemon refuses."""
+    """Ask, print the answer; 1 when the daemon refuses, or when one of several has not stopped."""
     name = ORDERS[arguments.command][0]
-    not_asked = ("command", "socket", "run", "json")
+    not_asked = ("command", "socket", "rig", "run", "json")
     values = {key: value for key, value in vars(arguments).items() if key not in not_asked}
     message = {"do": name, **values}
+    if name == "emergency_stop" and arguments.socket is None:
+        return _stop_all(rigs_of(arguments))
     answer = request(socket_of(arguments, urgent=is_urgent(message)), message)
     if name != "status" or not answer.get("ok", False):
         return print_answer(answer)
     print(json.dumps(answer, indent=1) if arguments.json else "\n".join(status_lines(answer)))
     return 0
+
+
+def _stop_all(rigs: Sequence[RunningRig]) -> int:
+    """Stop all rigs at the same time, and print each outcome as it comes; 1 unless all have stopped."""
+    code = 0
+    with ThreadPoolExecutor(len(rigs)) as pool:
+        asked = {pool.submit(_stop, rig): rig.name or rig.socket for rig in rigs}
+        for done in as_completed(asked):
+            stopped, text = done.result()
+            code = code if stopped else 1
+            print(f"{plain(asked[done])}: {plain(text, 400)}", flush=True)
+    return code
+
+
+def _stop(rig: RunningRig) -> tuple[bool, str]:
+    """Return whether a daemon confirms its stop, and what is known of it; never raises."""
+    try:
+        answer = request(Path(rig.socket), {"do": "emergency_stop"}, STOP_MAX_S)
+    except GreenhouseError as error:
+        if not rig.stops:
+            return False, f"NOT STOPPED: {error}"
+        try:
+            with as_owner(rig.entry):  # its owner could have named any folder of root's
+                StopFile(Path(rig.stops)).leave("the command line")
+        except OSError as problem:
+            return False, f"NOT STOPPED: {error}; and no stop could be left: {problem}"
+        return False, LEFT
+    warning = answer.get("error") or answer.get("warning")
+    text = "stopped" if is_in_force(answer) else "NOT STOPPED"
+    return bool(answer.get("ok")), f"{text}: {warning}" if warning else text
 
 
 def print_answer(answer: dict[str, Any]) -> int:

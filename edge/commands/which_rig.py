@@ -5,45 +5,66 @@ import os
 import sys
 from pathlib import Path
 
-from edge.app.demo_folders import SOCKET, last_history, running_demos
+from edge.app.demo_folders import last_history
+from edge.app.running_rigs import RunningRig, known_rigs
 from edge.config.settings import ControlSocketSettings, HistorySettings
 from edge.core.errors import ConfigError, DataError, RequestError
+from edge.core.plain_text import quote
+from edge.sockets.client import listens
 
 RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
+RIG_VARIABLE = "GREENHOUSE_RIG"
 
 
 def add_socket(parser: argparse.ArgumentParser) -> None:
-    """Add --socket."""
-    parser.add_argument(
+    """Add --socket and --rig."""
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument(
         "--socket",
         type=Path,
         help="the daemon's control socket; default: this machine's rig, or the demo where there is no rig",
+    )
+    which.add_argument(
+        "--rig", metavar="NAME", help=f"name of a running rig, its mqtt.rig; default: ${RIG_VARIABLE}, if set"
     )
 
 
 def socket_of(arguments: argparse.Namespace, urgent: bool = False) -> Path:
     """Return the socket to ask, and say on standard error when a demo is behind it.
 
-    urgent : an order to stop goes to the rig at once, whatever else runs
-    Errors : RequestError that names the sockets where it is not certain which rig is meant
+    urgent : demos do not make it uncertain which rig is meant
+    Errors : RequestError that names the rigs where it is not certain which one is meant
+    """
+    rigs = rigs_of(arguments)
+    if urgent and not all(rig.is_demo for rig in rigs):
+        rigs = [rig for rig in rigs if not rig.is_demo]
+    if len(rigs) > 1:
+        known = ", ".join(f"{rig.name or 'its name is not known'} ({rig.socket})" for rig in rigs)
+        raise RequestError(f"more than one rig on this machine, say --rig or --socket: {known}")
+    if rigs[0].is_demo:
+        print(f"(the demo at {rigs[0].socket}, not a real rig)", file=sys.stderr)
+    return Path(rigs[0].socket)
+
+
+def rigs_of(arguments: argparse.Namespace) -> list[RunningRig]:
+    """Return the selected rigs; without a selection all that run, and this machine's rig even while down.
+
+    Errors : RequestError where there is none
     """
     if arguments.socket is not None:
-        return Path(arguments.socket)
+        return [RunningRig("", str(arguments.socket))]
     rig = rig_socket()
-    has_rig = rig.exists() or RIG_CONFIG.exists()
-    if urgent and has_rig:
-        return rig
-    demos = [folder / SOCKET for folder in running_demos()]
-    if not demos and not has_rig:
+    found = [each for each in known_rigs() if listens(Path(each.socket)) or each.socket == str(rig)]
+    if name := getattr(arguments, "rig", None) or os.environ.get(RIG_VARIABLE):
+        if selected := [each for each in found if each.name == name]:
+            return selected
+        known = ", ".join(sorted({each.name for each in found})) or "none"
+        raise RequestError(f"no rig named {quote(name)} runs on this machine; running: {known}")
+    if (rig.exists() or RIG_CONFIG.exists()) and all(each.socket != str(rig) for each in found):
+        found.insert(0, RunningRig("", str(rig)))
+    if not found:
         raise RequestError(f"no daemon listens at {rig}; `greenhouse demo` runs one without a rig")
-    if not demos:
-        return rig
-    candidates = [rig, *demos] if has_rig else demos
-    if len(candidates) > 1:
-        names = " or ".join(f"--socket {path}" for path in candidates)
-        raise RequestError(f"more than one rig on this machine: say {names}")
-    print(f"(the demo at {demos[0]}, not a real rig)", file=sys.stderr)
-    return demos[0]
+    return found
 
 
 def history_of(history: Path | None) -> Path:

@@ -17,7 +17,7 @@ import anyio.to_thread
 from edge.core.errors import RequestError
 from edge.core.hard_limits import LEASE_S
 from edge.sockets.client import request
-from edge.sockets.stop_file import StopFile
+from edge.sockets.stop_file import LEFT, StopFile
 
 Json = dict[str, Any]
 
@@ -26,10 +26,6 @@ STATUS_MAX_S = 3.0
 STOP_MAX_S = 2.0  # after which the daemon counts as one that does not answer
 ANSWER_MAX_S = 15.0
 QUESTIONS_MAX = 8  # under way; a stop has places of its own
-LEFT = (
-    f"The daemon does not answer. Its board turns everything off by itself {LEASE_S:g} s after the daemon's "
-    "last word, and the stop waits on the disk for the daemon: it will not heat again until it is released."
-)
 
 
 class RigLink:

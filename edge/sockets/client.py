@@ -41,6 +41,19 @@ def request(path: Path, message: Mapping[str, Any], timeout_s: float = 15.0) -> 
     return parse_json(answer, str(path), ANSWER_MAX)
 
 
+def listens(path: Path) -> bool:
+    """Return at once whether a process has the socket open, also one that hangs or that refuses this user."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(str(path))
+        except (FileNotFoundError, NotADirectoryError, ConnectionRefusedError, ValueError):
+            return False
+        except OSError:
+            return True
+    return True
+
+
 def encode_line(message: Mapping[str, Any]) -> bytes:
     """Return a request or an answer as it goes over the socket."""
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode() + b"\n"

@@ -9,6 +9,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from edge.core.hard_limits import LEASE_S
 from edge.core.plain_text import plain
 from edge.formats.atomic_file import make_folder, sync_folder, write_document
 from edge.formats.input_file import open_file
@@ -18,6 +19,10 @@ from edge.formats.reader import DocumentError, parse_json
 FILE = "stop.json"
 CONTENT_MAX = 1000  # bytes that are read of it
 NOBODY = "somebody who left no name"
+LEFT = (
+    f"The daemon does not answer. Its board turns everything off by itself {LEASE_S:g} s after the daemon's "
+    "last word, and the stop waits on the disk for the daemon: it will not heat again until it is released."
+)
 
 
 class StopFile:
