@@ -43,7 +43,7 @@ from edge.sockets.control_socket import ControlSocket
 from edge.sockets.external_proposals import ExternalProposals
 from edge.sockets.stop_file import StopFile
 from edge.state.codecs import carry_on
-from edge.state.store import DRIFT, LIMITS, LLM_BUDGET, SKILL, STANDING, restore
+from edge.state.store import BOARD_ID, DRIFT, LIMITS, LLM_BUDGET, SKILL, STANDING, restore
 from edge.state.writer import DriftTurns, HourlySink, StandingSink, StateWriter
 from edge.storage import FactBook, Session, Storage
 from edge.tick.calibration import formula
@@ -177,9 +177,10 @@ class Daemon:
             sinks.append(telemetry)
             show = telemetry.show
             show_commissioning = telemetry.show_commissioning
-        board = Board(
-            settings.board.port, settings.board.baudrate, self.clock, secrets.randbits(32), self.open_port
-        )
+        pin, port = StateWriter(BOARD_ID, settings), settings.board
+        stack.callback(pin.close)
+        pinned, session_id = restore(BOARD_ID, settings), secrets.randbits(32)
+        board = Board(port.port, port.baudrate, self.clock, session_id, self.open_port, pinned, pin.save)
         stack.callback(board.close)
         stack.callback(inbox.close)  # the first to close: nobody shall wait for a loop that has ended
         rig = Rig(
@@ -209,6 +210,8 @@ class Daemon:
             drift=drift,
             box=box,
             clocks=standing.at,
+            foreign_board=lambda: board.foreign,
+            accept_board=board.accept,
         )
         loop = Loop(rig, self._orders(standing.operation), standing.memory, first_seq)
         stack.callback(loop.close)

@@ -62,12 +62,20 @@ class Board:
     """An open port (or none), its link, and what the board said last."""
 
     def __init__(
-        self, path: str, baudrate: int, clock: Clock, session: int, open_port: OpenPort = SerialPort
+        self,
+        path: str,
+        baudrate: int,
+        clock: Clock,
+        session: int,
+        open_port: OpenPort = SerialPort,
+        pinned: int | None = None,  # id of the only board that is driven; None: the first that answers
+        save_pin: Callable[[int], None] = lambda board_id: None,
     ) -> None:
         self._path = path
         self._baudrate = baudrate
         self._open_port = open_port
         self._clock = clock
+        self._pinned, self._save_pin = pinned, save_pin
         self._link = wire.Link(session=session, now=clock.now())
         self._port: WirePort | None = None
         self._open_at_s = clock.now()
@@ -85,7 +93,18 @@ class Board:
 
     @property
     def link_up(self) -> bool:
-        """The board answers and speaks our version."""
+        """The pinned board answers and speaks our version."""
+        return self._answers and not self.foreign
+
+    @property
+    def foreign(self) -> str:
+        """Ids of a board that answers and of the pinned one, "" where they are the same."""
+        if not self._answers or self.hello is None or self._pinned in (None, self.hello.board_id):
+            return ""
+        return f"board {self.hello.board_id} answers, board {self._pinned} is pinned"
+
+    @property
+    def _answers(self) -> bool:
         return self._port is not None and self._link.state == "up"
 
     @property
@@ -145,6 +164,14 @@ class Board:
     def clear_trip(self) -> None:
         """Ask the board to forget its trip; it refuses while the cause lasts. Waits for the link likewise."""
         self._order("trip", wire_messages.ClearTrip())
+
+    def accept(self) -> bool:
+        """Pin the board that answers, and drive it from now on; False where no other one answers."""
+        if not self.foreign or self.hello is None or not self.hello.board_id:
+            return False
+        self._pin(self.hello.board_id)
+        self._begin()
+        return True
 
     def serve(
         self, until_s: float, wake: int | None = None, done: Callable[[], bool] = lambda: False
@@ -240,8 +267,32 @@ class Board:
     def _order(self, latch: str, order: LatchOrder) -> None:
         self._orders[latch] = order
         self._unanswered.add(latch)
-        if self.link_up:  # else LinkUp sends it
+        self._request(order)  # else LinkUp sends it
+
+    def _request(self, order: LatchOrder) -> None:
+        """Send an order where it may be sent: a board that is not the pinned one is turned off, no more."""
+        if self.link_up or (self.foreign and isinstance(order, STANDING)):
             self._link.request(order, self._clock.now())
+
+    def _greet(self, hello: wire_messages.Hello) -> None:
+        self.hello = hello
+        if self._pinned is None and hello.board_id:  # 0: it is not configured yet
+            self._pin(hello.board_id)
+        self._begin()
+        firmware = f"{hello.firmware_major}.{hello.firmware_minor}.{hello.firmware_patch}"
+        self._tell("board.link_up", Severity.INFO, f"board {hello.board_id}, firmware {firmware}")
+
+    def _begin(self) -> None:
+        """Renew at once, since until a lease the board drives nothing; orders go before any command."""
+        self._renew_at_s = self._clock.now()
+        for order in self._orders.values():
+            self._request(order)
+
+    def _pin(self, board_id: int) -> None:
+        self._pinned = board_id
+        self._save_pin(board_id)
+        text = "is pinned: no other one is driven at this port before `greenhouse board accept`"
+        self._tell("board.pinned", Severity.INFO, f"board {board_id} {text}")
 
     def _settle(self, request: wire_messages.Message | None) -> None:
         """Note that the board has answered one of the orders."""
@@ -293,15 +344,7 @@ class Board:
     def _tell_link(self, event: wire.LinkEvent) -> None:
         match event:
             case wire.LinkUp(hello):
-                self.hello = hello
-                # At once: until a lease the board drives nothing.
-                self._renew_at_s = self._clock.now()
-                for order in self._orders.values():  # before any command
-                    self._link.request(order, self._clock.now())
-                firmware = f"{hello.firmware_major}.{hello.firmware_minor}.{hello.firmware_patch}"
-                self._tell(
-                    "board.link_up", Severity.INFO, f"board {hello.board_id:016x}, firmware {firmware}"
-                )
+                self._greet(hello)
             case wire.LinkLost(silent_s):
                 self.echo = self.air_pair = None
                 self._tell(
@@ -321,8 +364,9 @@ class Board:
                 text = f"the board refused {type(request).__name__}: {code} ({error.detail})"
                 self._tell("board.refused", Severity.WARNING, text)
             case wire.RequestTimedOut(request):
-                if self.link_up and any(order is request for order in self._orders.values()):
-                    self._link.request(request, self._clock.now())  # a stop went ahead of it
+                for order in self._orders.values():
+                    if order is request:
+                        self._request(order)  # a stop went ahead of it
                 self._tell("board.no_answer", Severity.WARNING, f"no answer to {type(request).__name__}")
             case wire.Nonsense():
                 pass  # counted in `statistics`

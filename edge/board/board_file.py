@@ -23,6 +23,8 @@ from firmware_protocol.board_block import (
 )
 
 BOARDS = {"mega2560": BoardKind.MEGA2560, "uno": BoardKind.UNO}
+ID_MAX = 2**63 - 1
+EXAMPLE_ID = 1  # of deploy/board.example.yaml: no board's own
 LUX_STEP = 10.0  # of full light in the block
 KEYS = {  # keys that a part must have; those of a part's own and no others may stand beside part and place
     Part.SHT3X: ("address",),
@@ -114,7 +116,7 @@ class BoardDocument:
     """board.yaml as a whole."""
 
     board: Annotated[str, Rule(choices=tuple(BOARDS))]
-    id: Annotated[int, Rule(low=1, high=2**63 - 1)]
+    id: Annotated[int, Rule(low=1, high=ID_MAX)]
     outputs: OutputsDocument = field(default_factory=OutputsDocument)
     sensors: tuple[SensorDocument, ...] = ()
     limits: LimitsDocument = field(default_factory=LimitsDocument)

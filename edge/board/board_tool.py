@@ -1,11 +1,13 @@
 """Work on a board beside the daemon: look at it, configure it, flash it. Each returns lines for a person."""
 
+import secrets
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
-from edge.board.board_file import BOARDS
+from edge.board.board_file import BOARDS, EXAMPLE_ID, ID_MAX
 from edge.board.board_session import BoardSession, NobodyAnswers
 from edge.board.firmware_file import CHIPS, avrdude, firmware_file, write_stages
 from edge.board.wiring import wiring_table
@@ -13,7 +15,7 @@ from edge.core.errors import RequestError
 from edge.core.names import HEATER_LEVELS, SIGNALS
 from edge.formats.table import Table
 from firmware_protocol.board_block import BoardBlock, decode_block, encode_block
-from firmware_protocol.messages import Hello, SensorReport, StateEcho
+from firmware_protocol.messages import Capability, Hello, SensorReport, StateEcho
 
 LEFT_BEHIND = "The old program runs, or the board is stopped and drives nothing."
 SETTLED_S = 0.5  # a port that was closed a moment ago may still hang up on the next who opens it
@@ -94,17 +96,34 @@ def _values(report: SensorReport) -> Table:
 
 def configure(session: BoardSession, block: BoardBlock) -> Iterator[str]:
     """Write a configuration and check it. Errors: RequestError; then the old one is in force"""
-    wanted, before = encode_block(block), session.block()
+    before = session.block()
     if before is None:
         raise RequestError(
             "the board's program takes no configuration; `greenhouse board flash` writes one that does"
         )
+    if block.board_id == EXAMPLE_ID:
+        block = replace(block, board_id=session.hello.board_id or _new_id())
+    wanted = encode_block(block)
     if before == wanted:
         yield "the board has this configuration already; nothing was written"
         return
     session.write_block(wanted)
     yield f"configured: {_about(session.hello)}"
     yield from wiring_table(block, with_notes=False).text()
+
+
+def give_own_id(session: BoardSession) -> Iterator[str]:
+    """Draw an id for a board that has the example's. Errors: RequestError; then the board has the old one"""
+    if session.hello.board_id == EXAMPLE_ID and session.hello.capabilities & Capability.CONFIGURABLE:
+        session.write_block(encode_block(replace(configuration(session), board_id=_new_id())))
+        yield (
+            f"The board has an id of its own now, {session.hello.board_id}. "
+            "A daemon that has driven it before needs `greenhouse board accept` once."
+        )
+
+
+def _new_id() -> int:
+    return EXAMPLE_ID + 1 + secrets.randbelow(ID_MAX - EXAMPLE_ID)
 
 
 def flash(board: str, port: str, baudrate: int, write: Write = avrdude) -> Iterator[str]:

@@ -8,13 +8,17 @@ from edge.board.board_session import BAUDRATE, BoardSession
 from edge.board.board_tool import configuration, configure, flash, show
 from edge.board.wiring import wiring_svg, wiring_table
 from edge.commands.arguments import writing
+from edge.commands.orders import print_answer
+from edge.commands.which_rig import add_socket, socket_of
 from edge.config.settings import BoardSettings
 from edge.formats.atomic_file import write_atomically
+from edge.sockets.client import request
 
 HELPS = {
     "check": "read a board.yaml and print every wire that it means",
     "wiring": "draw the wires of a board.yaml as an SVG picture",
     "show": "print a board's program, configuration, wires and present values",
+    "accept": "let the running daemon drive the board that is at its port now",
     "configure": "write a board.yaml into a board over its line; refused while the heater is driven",
     "flash": "write this version's program into an Arduino by avrdude",
 }
@@ -37,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         subs[name].add_argument(
             "--port", default=BoardSettings().port, help="serial port (default: %(default)s)"
         )
+    add_socket(subs["accept"])
     subs["flash"].add_argument("--board", required=True, choices=BOARDS, help="the microcontroller's board")
     subs["flash"].add_argument(
         "--baudrate", type=int, default=BAUDRATE, help="of the bootloader; 57600 for an old Nano"
@@ -55,6 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
                 print("\n".join(show(session)))
                 if arguments.wiring is not None:
                     _draw(wiring_svg(configuration(session)), arguments.wiring)
+        case "accept":
+            return print_answer(request(socket_of(arguments), {"do": "accept_board"}))
         case "configure":
             block = read_board_file(arguments.file)
             with BoardSession(arguments.port) as session:

@@ -74,7 +74,9 @@ def _alarms(status: Json) -> Iterator[str]:
         known = {"emergency_stop": operation["emergency_stop"], "maintenance": until is not None}
         if not known.get(cause, False):
             yield f"THE BOARD HAS TRIPPED: {cause}; {ENDED_BY.get(cause, CLEAR_TRIP)}"
-    if tick is not None and not status["link_up"]:
+    if foreign := status.get("foreign_board"):
+        yield f"ANOTHER BOARD is not driven: {foreign}; `greenhouse board accept` if it is the right one"
+    elif tick is not None and not status["link_up"]:
         yield "THE BOARD IS SILENT: it turns its heater off by itself"
 
 

@@ -11,12 +11,13 @@ import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 
 from edge.app import setup
 from edge.app.setup import QUESTIONS, BoxQuestion, OutputResult, SetupAnswers, answer, next_question
 from edge.board.board_session import BoardSession
-from edge.board.board_tool import show
+from edge.board.board_tool import give_own_id, show
 from edge.board.output_check import CHECKS, LEASE_S, OutputRefused, outputs, run_check, suited_check
 from edge.board.ports import find_ports, lasting_name
 from edge.commands.arguments import add_config, writing
@@ -170,7 +171,7 @@ class SetupDialogue:
 
 
 def _look_at(session: BoardSession) -> None:
-    for line in show(session):
+    for line in chain(show(session), give_own_id(session)):
         say(line)
 
 

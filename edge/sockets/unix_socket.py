@@ -7,6 +7,7 @@ import stat
 from pathlib import Path
 
 from edge.core.errors import ConfigError
+from edge.sockets.client import listens
 
 BACKLOG = 128
 MODE = 0o660
@@ -45,12 +46,5 @@ def _refuse_live(path: Path, key: str) -> None:
         return
     if not stat.S_ISSOCK(mode):
         raise ConfigError(f"{key}: {path}: exists and is not a socket")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(1.0)
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            return
-        except OSError as error:
-            raise ConfigError(f"{key}: {path}: {error.strerror or error}") from None
-    raise ConfigError(f"{key}: {path}: another daemon listens there")
+    if listens(path):
+        raise ConfigError(f"{key}: {path}: another daemon listens there")

@@ -121,7 +121,6 @@ LLM_BUDGET = StoredValue(
     lambda settings, why: Spending(""),
     pause_s=60.0,  # five exchanges a step would be five writes
 )
-STORED: tuple[StoredValue[Any], ...] = (STANDING, SKILL, DRIFT, LLM_BUDGET)
 # A file of its own: software before it would take a state file with unknown keys for a damaged one.
 LIMITS: StoredValue[Any] = StoredValue(
     codecs.Limits,
@@ -132,6 +131,16 @@ LIMITS: StoredValue[Any] = StoredValue(
     partial(read, codecs.Limits),
     lambda settings, why: why,
 )
+BOARD_ID: StoredValue[int | None] = StoredValue(
+    int,
+    "board",
+    "until a person accepts another board; after a loss the first board that answers is pinned",
+    _beside("board.json"),
+    lambda board_id: {"board_id": board_id},
+    lambda values: read(int, values.get("board_id"), key="board_id"),
+    lambda settings, why: None,
+)
+STORED: tuple[StoredValue[Any], ...] = (STANDING, SKILL, DRIFT, LLM_BUDGET, BOARD_ID)
 SURVIVORS: tuple[Survivor, ...] = (
     *STORED,
     LIMITS,

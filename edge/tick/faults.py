@@ -59,6 +59,12 @@ _ROWS = (
         "nothing is sent; the board's lease ends and it turns the heater off; it is greeted until it answers",
     ),
     Failure(
+        "board.foreign",
+        Severity.ALARM,
+        "another board is at the port",
+        "it gets no command and no lease of its heater until `greenhouse board accept`",
+    ),
+    Failure(
         "board.no_echo",
         Severity.WARNING,
         "the board did not confirm the command",

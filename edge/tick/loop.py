@@ -328,14 +328,15 @@ class Loop:
     ) -> None:
         air = readings.get("temp_air")
         quality = ReadingQuality.ABSENT if air is None else air.quality
-        link_up = self._rig.board.link_up
+        link_up, foreign = self._rig.board.link_up, self._rig.foreign_board()
         note = self._conditions.set
         note("reading.not_good", quality is not ReadingQuality.GOOD, now, utc, quality.value)
         pair = self._rig.board.air_pair
         apart = pair is not None and pair.are_apart
         note("air_sensors.apart", apart, now, utc, _witness(pair, air, estimate) if pair and apart else "")
         note("air_sensors.alone", pair is not None and pair.is_alone, now, utc)
-        note("board.link_down", not link_up, now, utc)
+        note("board.foreign", bool(foreign), now, utc, foreign)
+        note("board.link_down", not link_up and not foreign, now, utc)
         note("board.no_echo", link_up and echo is None, now, utc)
         note("tick.late", late_s > LATE_SHARE * self._step_s, now, utc, f"{late_s:.2f} s")
         note("clock.jumped", abs(self._jump_s) > CLOCK_JUMP_S, now, utc, f"by {self._jump_s:+.0f} s")
@@ -424,6 +425,12 @@ class Loop:
                 case "clear_trip":
                     read_request(NoKeys, request)
                     self._clear_trip(request)
+                case "accept_board":
+                    read_request(NoKeys, request)
+                    if not self._rig.accept_board():
+                        raise RequestError("accept_board: no other board that is configured is at the port")
+                    text = with_author("the board was accepted", request)
+                    self._tell("operator.accept_board", Severity.INFO, text, self._rig.clock.now())
                 case _:
                     warning = self._order(request)
         except RequestError as error:
@@ -454,6 +461,7 @@ class Loop:
             self._conditions.standing(),
             tuple(states(operation.points, operation.calibrations, configured, raw)),
             now - self._reference_start_s(),
+            self._rig.foreign_board(),
         )
 
     def _order(self, request: Request) -> str:

@@ -204,6 +204,8 @@ class Rig:
     after_tick: Callable[[TickRecord], None] = lambda record: None  # watchdog, display
     show: Callable[[LoopStatus], None] = lambda status: None  # publish a tick, or what changed between two
     stop_at_s: float = math.inf  # end of an experiment
+    foreign_board: Callable[[], str] = lambda: ""  # ids of a board that answers and is not the pinned one
+    accept_board: Callable[[], bool] = lambda: False  # drive that board from now on; False where none answers
     drift: DriftWatch | None = None  # watches the running twin
     box: BoxBounds = PAPER_BOX
     clocks: Moment | None = None  # what they show together if nobody has set one since the process before

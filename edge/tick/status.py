@@ -29,6 +29,7 @@ class LoopStatus:
     conditions: tuple[str, ...] = ()  # rows of the failure table that hold
     calibration: tuple[CalibrationState, ...] = ()
     reference_time_s: float = 0.0  # on the axis of a configured reference that is not daily
+    foreign_board: str = ""
 
 
 def status_json(status: LoopStatus) -> dict[str, Any]:
@@ -45,6 +46,7 @@ def status_json(status: LoopStatus) -> dict[str, Any]:
         "drift": drift_json(record.drift if record else None),
         "echo": echo_json(status.echo),
         "link_up": int(status.link_up),
+        "foreign_board": status.foreign_board,
         "line": dict(status.line),
         "conditions": {key: FAILURES[key].what for key in status.conditions},
         "calibration": {state.signal: calibration_json(state) for state in status.calibration},

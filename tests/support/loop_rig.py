@@ -63,6 +63,7 @@ class FakeBoard:
     link_up: bool = True
     confirms: bool = True
     tripped: bool = False
+    foreign: str = ""
     echo: Echo | None = None
     air_pair: AirSensorPair | None = None
     driven: list[tuple[Command, bool, float]] = field(default_factory=list)
@@ -144,6 +145,10 @@ class FakeBoard:
     def clear_trip(self) -> None:
         self.cleared += 1
 
+    def accept(self) -> bool:
+        accepted, self.foreign, self.link_up = bool(self.foreign), "", True
+        return accepted
+
 
 @dataclass
 class Wants:
@@ -224,6 +229,8 @@ class LoopRig:
             save_state=self._save,
             show=lambda status: self.shown.append(status.echo),
             clocks=clocks,
+            foreign_board=lambda: self.board.foreign,
+            accept_board=self.board.accept,
         )
         self.rig = rig
         self.loop = Loop(rig, state.operation, state.memory, first_seq=1)

@@ -120,7 +120,8 @@ def _stop(view: Mapping[str, Any], status: Mapping[str, Any] | None) -> Finding:
 
 
 def _board(status: Mapping[str, Any]) -> Iterator[Finding]:
-    yield Finding(BOARD, not status["link_up"], "the board is silent; it turns its heater off by itself")
+    silent = not status["link_up"] and not status.get("foreign_board")  # that one has an event of its own
+    yield Finding(BOARD, silent, "the board is silent; it turns its heater off by itself")
     echo = status["echo"]
     if echo is not None:
         # Maintenance is wanted, and the emergency stop is an alarm of its own.

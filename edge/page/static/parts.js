@@ -71,7 +71,8 @@ export function troubles(view, lost) {
     found.push(["alarm", `Emergency stop: everything stays off until it is released.${board}`]);
   }
   if (view?.reached && status) {
-    if (!status.link_up) found.push(["alarm", "The board is silent. It turns its heater off by itself; nobody can say what it does now."]);
+    if (status.foreign_board) found.push(["alarm", `Another board is at the port and not driven: ${status.foreign_board}. If it is the right one: greenhouse board accept.`]);
+    else if (!status.link_up) found.push(["alarm", "The board is silent. It turns its heater off by itself; nobody can say what it does now."]);
     if (status.echo?.tripped) found.push(["alarm", `The board has tripped: ${status.echo.trip_cause}.`]);
     for (const trip of status.trips) found.push(["alarm", `Tripped: ${trip}.`]);
     if (operation.maintenance_until_utc) found.push(["warn", `Maintenance until ${clock(operation.maintenance_until_utc)}: everything is off.`]);
@@ -264,7 +265,7 @@ export function Health({ view, me }) {
   const lost = (line.bad_crc ?? 0) + (line.given_up ?? 0) + (line.bad_cobs ?? 0);
   return html`<section class="card" aria-label="Health"><h2>Health</h2><dl>
     <dt>Daemon</dt><dd>${view.reached ? "answers" : "silent"}</dd>
-    <dt>Board</dt><dd>${status.link_up ? "answers" : "silent"}, ${lost} of ${line.frames ?? 0} frames lost</dd>
+    <dt>Board</dt><dd>${status.link_up ? "answers" : status.foreign_board ? "another one" : "silent"}, ${lost} of ${line.frames ?? 0} frames lost</dd>
     <dt>Sensors</dt><dd>${bad.length ? bad.map(([key, one]) => `${key}: ${one.quality}`).join(", ") : "all good"}</dd>
     <dt>Broker</dt><dd>${broken ?? (me.broker ? `${me.broker} answers` : "none is configured")}</dd>
     <dt>History</dt><dd>${span.error ?? `since ${clock(span.first_utc, true)}; ${room(span.free_mb)}`}</dd>

@@ -108,6 +108,9 @@ def test_the_status_begins_with_what_is_wrong(status: dict[str, Any]) -> None:
     lines = status_lines({**status, "operation": operation, **now})
     assert [line.split()[0] for line in lines[:4]] == ["EMERGENCY", "MAINTENANCE", "TRIPPED:", "THE"]
     assert "heater     not known: the board does not say" in lines
+    lines = status_lines({**status, "link_up": 0, "foreign_board": "board 2 answers, board 1 is pinned"})
+    assert lines[0].startswith("ANOTHER BOARD is not driven: board 2 answers, board 1 is pinned; `greenhouse")
+    assert not any("SILENT" in line for line in lines)
 
 
 @pytest.mark.parametrize(

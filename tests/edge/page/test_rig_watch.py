@@ -71,6 +71,11 @@ def test_a_moment_without_a_board_or_a_reading_is_no_alarm(watch: RigWatch, caus
     assert says(watch, view(**status), 1012.0)[cause] is None
 
 
+def test_a_board_that_is_not_the_pinned_one_is_not_a_silent_one(watch: RigWatch) -> None:
+    foreign = view(link_up=0, foreign_board="board 2 answers, board 1 is pinned")
+    assert [says(watch, foreign, at_s)[BOARD] for at_s in (1000.0, 1100.0)] == [False, False]
+
+
 def test_a_pressed_stop_is_an_alarm_at_once_however_it_was_pressed(watch: RigWatch) -> None:
     assert says(watch, view(operation={"emergency_stop": True}), 1000.0)[STOP] is True
     by_board = view(echo={"tripped": 1, "trip_cause": "emergency_stop"})

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from loop_rig import UTC_0, LoopRig, is_safe
 
-from edge.core.messages import AirSensorPair, Command, ReadingQuality, TickRecord
+from edge.core.messages import AirSensorPair, Command, ReadingQuality, Severity, TickRecord
 from edge.safety.supervisor import SafetyMemory
 from edge.state.store import STANDING, restore
 from edge.tick.faults import FAILURES, Conditions
@@ -642,6 +642,21 @@ def test_stops_without_end_while_a_controller_thinks_do_not_hold_up_the_tick(rig
     rig.inbox.take = never_empty
     assert rig.tick().sent.heater_duty == 0.0
     assert 1 <= len(taken) <= 10
+
+
+def test_another_board_is_an_alarm_of_its_own_until_it_is_accepted(rig: LoopRig) -> None:
+    rig.tick()
+    rig.board.foreign, rig.board.link_up = "board 2 answers, board 1 is pinned", False
+    assert rig.tick().sent == Command()
+    event = next(event for event in rig.sink.records[-1].events if event.key == "board.foreign")
+    assert event.severity is Severity.ALARM and "board 2 answers" in event.text
+    assert rig.ask({"do": "status"})["foreign_board"] == rig.board.foreign
+    assert rig.ask({"do": "accept_board", "by": "me"})["ok"]
+    assert rig.tick().sent.heater_duty > 0.0
+    assert {"operator.accept_board", "board.foreign.over"} <= set(rig.events())
+    assert "board.link_down" not in rig.events()
+    refused = rig.ask({"do": "accept_board"})
+    assert not refused["ok"] and "no other board" in refused["error"]
 
 
 def test_a_lasting_failure_is_told_twice() -> None:
