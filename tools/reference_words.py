@@ -4,7 +4,7 @@ VARIABLES = {
     "CI": "set: the property tests take the same examples every time",
     "CREDENTIALS_DIRECTORY": "folder of systemd credentials; a bare file name in a setting is sought there",
     "GREENHOUSE_DIAGNOSIS": "folder through which the daemon asks the nightly diagnosis unit to start",
-    "GREENHOUSE_RIG": "name of the running rig, its `mqtt.rig`, that commands without `--rig` and `--socket` ask",
+    "GREENHOUSE_RIG": "name of the running rig, its `mqtt.rig`, for commands without `--rig` and `--socket`",
     "NOTIFY_SOCKET": "systemd's socket: the daemon reports readiness and every tick there",
     "ORT_DISABLE_TELEMETRY": "set by the program itself, so that onnxruntime never calls its maker",
     "WATCHDOG_USEC": "set by systemd where a watchdog runs: the daemon adapts it to its control step",

@@ -33,10 +33,11 @@ from edge.config.settings import SensorCalibration, Settings
 from edge.controllers.external import External
 from edge.core.clock import Clock, Moment, RealClock, boot_id
 from edge.core.controller import Controller
-from edge.core.errors import ConfigError
+from edge.core.errors import ConfigError, DataError
 from edge.core.messages import TickRecord
 from edge.core.version import __version__
 from edge.drift.monitor import DriftMonitor, Promise
+from edge.formats.atomic_file import hold_lock
 from edge.mqtt.telemetry import Telemetry
 from edge.safety.supervisor import SafetyMemory
 from edge.sockets.control_socket import ControlSocket
@@ -118,6 +119,8 @@ class Daemon:
 
     def _wire(self) -> Loop:
         settings, stack = self.settings, self._stack
+        self._lock("history.path", settings.history.path)
+        self._lock("state_file", settings.state_file)
         bundles = self._bundles()
         llm = self.language_model = self._language_model()
         models = ActiveModels(settings, bundles, restore(SKILL, settings), llm)
@@ -152,7 +155,6 @@ class Daemon:
         desk = self._desk(inbox, models, llm, memory)
         nightly = self._nightly(bundles)
         routes = Routes(settings, inbox, bundles, desk, self.commissioning, nightly)
-        # First of all that is shared: where a daemon runs already nothing else is touched.
         socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post, stop_file)
         stack.callback(socket.close)
         with suppress(OSError):  # a user who cannot write there: the rig runs, and orders need --socket
@@ -226,6 +228,14 @@ class Daemon:
         if self.commissioning is not None:
             self.commissioning.serve(self.stop, show_commissioning)
         return loop
+
+    def _lock(self, key: str, path: str) -> None:
+        """Refuse a second daemon that would share a file, whatever its socket is. Errors: ConfigError"""
+        try:
+            self._stack.enter_context(hold_lock(Path(f"{os.path.realpath(path)}.lock"), wait=False))
+        except DataError as error:  # a disk that refuses the lock is no reason to end control
+            if isinstance(error.__cause__, BlockingIOError):
+                raise ConfigError(f"{key}: {path}: another daemon uses this file") from None
 
     def _announce(self, loop: Loop, standing: Operation) -> None:
         """Emit an event for each order that holds on and would not be expected."""

@@ -84,17 +84,17 @@ def move(path: Path, target: Path) -> None:
 
 
 @contextmanager
-def hold_lock(path: Path) -> Iterator[None]:
+def hold_lock(path: Path, wait: bool = True) -> Iterator[None]:
     """Let one process and thread at a time in; a kill frees the lock. Makes the file and its folder.
 
-    Errors : DataError for what the disk refuses, within the block too
+    Errors : DataError for what the disk refuses, within the block too; without `wait`, where another holds it
     """
     try:
         make_folder(path.parent)
         with as_owner(path):
             descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | _PLAIN, 0o640)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield
         finally:
             os.close(descriptor)

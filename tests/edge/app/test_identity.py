@@ -1,16 +1,22 @@
 """A daemon's identity: the board that it drives, its entry among the running rigs, files that are its own."""
 
 import json
+import subprocess
+import sys
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from edge.app import running_rigs
 from edge.app.daemon import Daemon
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading
-from edge.config.settings import Settings
+from edge.config.settings import ControlSocketSettings, Settings
+from edge.core.clock import RealClock
+from edge.core.errors import ConfigError
 from edge.core.messages import TickRecord
 from edge.tick.status import status_json
 
@@ -56,3 +62,70 @@ def test_a_rig_whose_pin_is_lost_says_that_it_pins_again(tmp_path: Path, broken:
     (tmp_path / "board.json").write_text(broken)
     records, _ = three_ticks(tmp_path)
     assert "board.pinned" in keys(records) and records[-1].link_up
+
+
+@pytest.mark.parametrize("shared", ["history", "state", "both by a link"])
+def test_a_second_daemon_on_the_same_files_is_refused_and_a_kill_frees_them(
+    tmp_path: Path, shared: str
+) -> None:
+    folders = [tmp_path / name for name in ("first", "second")]
+    for folder in folders:
+        folder.mkdir()
+    first, second = (settings_of(folder) for folder in folders)
+    if shared == "both by a link":
+        (tmp_path / "link").symlink_to(folders[0])
+        second = replace(settings_of(tmp_path / "link"), control_socket=second.control_socket)
+    elif shared == "state":
+        second = replace(second, state_file=first.state_file)
+    else:
+        second = replace(second, history=first.history)
+    key = "state_file" if shared == "state" else "history.path"
+    refused = pytest.raises(ConfigError, match=f"{key}: .*: another daemon uses this file")
+    with Daemon(first, RealClock()), refused:
+        Daemon(second, RealClock()).__enter__()
+    assert not Path(second.control_socket.path).exists()
+    program = (
+        "import sys, time; from pathlib import Path; from edge.formats.atomic_file import hold_lock\n"
+        "with hold_lock(Path(sys.argv[1])): print(flush=True); time.sleep(60)"
+    )
+    locked = f"{first.state_file if shared == 'state' else first.history.path}.lock"
+    with subprocess.Popen([sys.executable, "-c", program, locked], stdout=subprocess.PIPE) as held:
+        try:
+            assert held.stdout is not None
+            held.stdout.readline()
+            with refused:
+                Daemon(second, RealClock()).__enter__()
+        finally:
+            held.kill()
+    with Daemon(second, RealClock()):
+        pass
+
+
+def test_a_disk_that_refuses_the_lock_does_not_end_control(tmp_path: Path) -> None:
+    settings = settings_of(tmp_path)
+    for path in (settings.history.path, settings.state_file):
+        Path(f"{path}.lock").mkdir()
+    with Daemon(settings, RealClock()):
+        pass
+
+
+def test_a_daemon_is_registered_from_its_start_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = ControlSocketSettings(str(tmp_path / "run" / "control.sock"))
+    monkeypatch.setattr(running_rigs, "ControlSocketSettings", lambda: run)
+    settings = settings_of(tmp_path)
+    with Daemon(settings, RealClock()):
+        assert list(running_rigs.known_rigs()) == []  # there is no run folder
+    (tmp_path / "run").mkdir()
+    with Daemon(settings, RealClock()):
+        (rig,) = running_rigs.known_rigs()
+        assert rig.socket == settings.control_socket.path and rig.name == settings.mqtt.rig
+    assert list((tmp_path / "run").iterdir()) == []
+    monkeypatch.setattr(running_rigs, "write_atomically", refuse)
+    with Daemon(settings, RealClock()):  # the folder is another user's
+        assert list(running_rigs.known_rigs()) == []
+
+
+def refuse(path: Path, text: str) -> None:
+    raise PermissionError(13, "Permission denied", str(path))

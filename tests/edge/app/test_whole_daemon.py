@@ -300,7 +300,7 @@ def test_a_wrong_or_missing_configuration_is_one_clear_line_and_exit_code_2(
     assert told.out == ""
 
 
-def test_a_second_daemon_is_refused_at_the_socket_and_gets_no_board(
+def test_a_second_daemon_is_refused_and_gets_no_board(
     folder: Path, board: VirtualBoard
 ) -> None:
     with DaemonProcess(folder) as daemon:
@@ -309,7 +309,7 @@ def test_a_second_daemon_is_refused_at_the_socket_and_gets_no_board(
             run_command(daemon.config), capture_output=True, text=True, cwd=ROOT, timeout=30
         )
         assert second.returncode == 2
-        assert "another daemon listens there" in second.stderr
+        assert "another daemon uses this file" in second.stderr
         assert len(second.stderr.strip().splitlines()) == 1
 
         elsewhere = folder / "second"
