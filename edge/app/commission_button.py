@@ -223,7 +223,7 @@ def refusal(settings: Settings, status: Mapping[str, Any]) -> str:
     reasons = {
         "emergency stop: release it first": operation["emergency_stop"],
         f"tripped: {', '.join(map(str, status['trips']))}; clear it first": bool(status["trips"]),
-        "maintenance: hands are in the box": _in_maintenance(operation, tick),
+        "maintenance: hands are in the box": operation["maintenance_until_utc"] is not None,
         f"mode {operation['mode']}: set auto first": operation["mode"] != "auto",
         "the board does not answer": echo is None or not status["link_up"],
         "the board has tripped": bool(echo and echo["tripped"]),
@@ -244,11 +244,6 @@ def _lacks(settings: Settings) -> dict[str, bool]:
         "no key to sign with: bundle.signing_key names none": not key,
         f"{key}: no such key": bool(key) and not Path(key).exists(),
     }
-
-
-def _in_maintenance(operation: Mapping[str, Any], tick: Mapping[str, Any]) -> bool:
-    until = operation["maintenance_until_utc"]
-    return until is not None and tick["utc"] < until
 
 
 def _expectation(said: Sequence[str]) -> str:

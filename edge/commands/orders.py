@@ -55,7 +55,7 @@ def status_lines(status: Json) -> list[str]:
         "asked": operation["steering"] and operation["steering"]["words"],
         "safety": "; ".join(dict.fromkeys(change["reason"] for change in tick["changes"])),
         "last tick": f"{tick['seq']} at {at:%H:%M:%S}, every {tick['step_s']:g} s",
-        "why": "" if _is_stopped(operation, tick) else " ".join(reasons(tick["why"])),
+        "why": "" if _is_stopped(operation) else " ".join(reasons(tick["why"])),
     }
     return [*lines, *(f"{name:<11s}{text}" for name, text in rows.items() if text)]
 
@@ -65,7 +65,7 @@ def _alarms(status: Json) -> Iterator[str]:
     if operation["emergency_stop"]:
         yield "EMERGENCY STOP: everything is off until `greenhouse release`"
     until = operation["maintenance_until_utc"]
-    if _in_maintenance(operation, tick):
+    if until is not None:
         yield f"MAINTENANCE until {datetime.fromtimestamp(until):%Y-%m-%d %H:%M}: everything is off"
     if status["trips"]:
         yield f"TRIPPED: {', '.join(map(str, status['trips']))}; {CLEAR_TRIP}"
@@ -80,14 +80,9 @@ def _alarms(status: Json) -> Iterator[str]:
         yield "THE BOARD IS SILENT: it turns its heater off by itself"
 
 
-def _in_maintenance(operation: Json, tick: Json | None) -> bool:
-    until = operation["maintenance_until_utc"]
-    return until is not None and (tick is None or tick["utc"] < until)
-
-
-def _is_stopped(operation: Json, tick: Json) -> bool:
+def _is_stopped(operation: Json) -> bool:
     """Return True while a person's stop holds everything off, so that no plan is carried out."""
-    return bool(operation["emergency_stop"]) or _in_maintenance(operation, tick)
+    return bool(operation["emergency_stop"]) or operation["maintenance_until_utc"] is not None
 
 
 def _output_texts(echo: Json | None) -> dict[str, str]:
@@ -296,7 +291,7 @@ def print_answer(answer: dict[str, Any]) -> int:
     if not answer.get("ok", False):
         print(f"{'warning' if is_in_force(answer) else 'refused'}: {answer.get('error', answer)}")
         return 1
-    print("done")
+    print(answer.get("message", "done"))
     if warning := answer.get("warning"):
         print(f"warning: {warning}", file=sys.stderr)
     return 0

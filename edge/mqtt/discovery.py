@@ -236,11 +236,12 @@ def _event_sensor(topics: Topics) -> Json:
 def _answer_sensor(topics: Topics) -> Json:
     """Return the answer to the last order over MQTT, so that a refusal can be seen where it was given."""
     refused = f"value_json.command ~ ': ' ~ value_json.get('error', 'refused')[:{ENTITY_TEXT_MAX - 45}]"
+    done = f"value_json.get('message', value_json.command ~ ': done')[:{ENTITY_TEXT_MAX}]"
     return {
         "platform": "sensor",
         "name": "Last answer",
         "state_topic": topics.reply,
-        "value_template": f"{{{{ value_json.command ~ ': done' if value_json.ok else {refused} }}}}",
+        "value_template": f"{{{{ {done} if value_json.ok else {refused} }}}}",
         "json_attributes_topic": topics.reply,
         "entity_category": "diagnostic",
     }

@@ -38,7 +38,7 @@ def state(status: Mapping[str, Any], counters: Mapping[str, int | None]) -> Json
         "reference_c": _reference(tick, operation),
         "mode": operation["mode"],
         "emergency_stop": int(operation["emergency_stop"]),
-        "maintenance": int(_in_maintenance(tick, operation)),
+        "maintenance": int(operation["maintenance_until_utc"] is not None),
         "fan_mode": operation["fan_mode"],
         "controller": operation["controller"],
         "manual_heater_duty": operation["manual"]["heater_duty"],
@@ -114,11 +114,6 @@ def _reference(tick: Mapping[str, Any], operation: Mapping[str, Any]) -> float |
     return tick["reference_c"] if ordered is None else ordered
 
 
-def _in_maintenance(tick: Mapping[str, Any], operation: Mapping[str, Any]) -> bool:
-    until = operation["maintenance_until_utc"]
-    return until is not None and tick["utc"] < until
-
-
 def _hvac_mode(operation: Mapping[str, Any]) -> str | None:
     """Return a mode that Home Assistant knows, null (unknown) in manual mode."""
     if operation["emergency_stop"]:
@@ -146,7 +141,7 @@ def _line_counters(line: Mapping[str, int] | None) -> Json:
 
 def _trips(status: Mapping[str, Any]) -> list[str]:
     echo = status["echo"]
-    maintained = _in_maintenance(status["tick"], status["operation"])  # asked for, so it is not a fault
+    maintained = status["operation"]["maintenance_until_utc"] is not None  # asked for, so it is not a fault
     shown = echo and echo["tripped"] and not (maintained and echo["trip_cause"] == "maintenance")
     board = [echo["trip_cause"]] if shown else []
     return [str(trip) for trip in (*status["trips"], *board)]

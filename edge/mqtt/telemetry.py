@@ -45,7 +45,7 @@ LANES = ((STOP, "release_emergency_stop", *WORDED), ("maintenance",))
 EVENTS_WAITING_MAX = 200  # live events while the broker is away; all of them are in the outbox too
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step counts as late
 SHORT = (  # keys of short answers
-    *("ok", "error", "warning", "queued", "first_seq", "last_seq"),
+    *("ok", "changed", "message", "error", "warning", "queued", "first_seq", "last_seq"),
     *("proposal", "lines", "commissioning"),
 )
 WINDOW_RESERVE = 4  # room in the broker's receive window for messages that are not the outbox's

@@ -45,6 +45,7 @@ from edge.tick.decider import Decider
 from edge.tick.faults import Conditions
 from edge.tick.inbox import ORDINARY, Letter, Reply, Request
 from edge.tick.light_and_water import led_level, watering_pulse
+from edge.tick.order_words import nothing_changed, order_words
 from edge.tick.orders import (
     UTC_MAX,
     Desk,
@@ -53,7 +54,6 @@ from edge.tick.orders import (
     acts_at_once,
     apply_orders,
     has_lost_date,
-    in_words,
     is_released,
     operate,
     read_request,
@@ -68,6 +68,7 @@ NOT_REACHED = "no link to the board: it obeys as soon as it is back; what it dri
 # Each release lets the next stop write the board's EEPROM, which takes 100 000 writes: it lasts 11 months so.
 RELEASES, RELEASE_EVERY_S = 100, 300.0  # at once; at length [s]
 RELEASED_TOO_OFTEN = "released too often: each time wears the board's memory; it stays off, try in 5 minutes"
+ENDED_BY = {"release_emergency_stop": "emergency_stop", "maintenance": "maintenance"}  # order -> its stop
 START_WAIT_S = 5.0  # for the board, before the first tick
 ORDERS_TOLD = 20  # between two ticks, each with its words; more than a person gives in a minute
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
@@ -415,7 +416,7 @@ class Loop:
 
     def _answer(self, letter: Letter) -> None:
         """Carry out a request or refuse it with the reason; a change is answered when it is on disk."""
-        request, warning = letter.request, ""
+        request = letter.request
         try:
             match request.get("do"):
                 case "status":
@@ -424,19 +425,20 @@ class Loop:
                     return
                 case "clear_trip":
                     read_request(NoKeys, request)
-                    self._clear_trip(request)
+                    said = self._clear_trip(request)
                 case "accept_board":
                     read_request(NoKeys, request)
                     if not self._rig.accept_board():
                         raise RequestError("accept_board: no other board that is configured is at the port")
                     text = with_author("the board was accepted", request)
                     self._tell("operator.accept_board", Severity.INFO, text, self._rig.clock.now())
+                    said = {"changed": True, "message": "This board is the rig's from now on."}
                 case _:
-                    warning = self._order(request)
+                    said = self._order(request)
         except RequestError as error:
             letter.answer.put({"ok": False, "error": str(error)})
             return
-        reply: Reply = {"ok": True, STATUS: self.status()} | ({"warning": warning} if warning else {})
+        reply: Reply = {"ok": True, **said, STATUS: self.status()}
         self._show()
         # The state writer's thread answers: this one never waits for the disk.
         self._rig.save_state(
@@ -451,7 +453,7 @@ class Loop:
             self._rig.sensors.take(board.take_samples())
         raw = partial(self._rig.sensors.raw, now=now)
         return LoopStatus(
-            operation,
+            operation.at(self._rig.clock.utc()),
             now - self._start_s,
             self._memory.trips,
             self.last_record,
@@ -464,12 +466,12 @@ class Loop:
             self._rig.foreign_board(),
         )
 
-    def _order(self, request: Request) -> str:
-        """Change the standing orders; return what a person has to know of a stop that is not in force yet."""
+    def _order(self, request: Request) -> Reply:
+        """Change the standing orders, and return the answer's keys. The board gets a repeated stop again."""
         clock = self._rig.clock
         self._follow_clock()
         self._follow_profile(clock.now(), clock.utc())
-        before = self._operation
+        before, of_board = self._operation, self._board_trip()
         after = operate(before, request, self._desk())
         if is_released(before, after):
             until_s = max(self._memory.releases_until_s, clock.now()) + RELEASE_EVERY_S
@@ -477,12 +479,28 @@ class Loop:
                 raise RequestError(RELEASED_TOO_OFTEN)
             self._memory = replace(self._memory, releases_until_s=until_s)
         self._operation = after
-        warning = self._order_board(request)
-        self._tell("operator.order", Severity.INFO, in_words(request), clock.now())
+        warning, utc = self._order_board(request), clock.utc()
+        changed, message = order_words(request["do"], before, after, utc)
+        holds = {"emergency_stop": after.emergency_stop, "maintenance": after.in_maintenance(utc)}
+        if not changed and of_board == ENDED_BY.get(request["do"]) and not holds[of_board]:
+            changed, message = True, f"The board's own {of_board.replace('_', ' ')} is over."
+        said = self._said(changed, message, warning, request)
         self._follow_calibration(before)
         if acts_at_once(before, self._operation):
             self._act_now()
-        return warning
+        return said
+
+    def _said(self, changed: bool, message: str, warning: str, request: Request) -> Reply:
+        """Return an answer's keys, and record an order that changed something."""
+        if changed:
+            key = "operator.clear_trip" if request["do"] == "clear_trip" else "operator.order"
+            self._tell(key, Severity.INFO, with_author(message, request), self._rig.clock.now())
+        return {"changed": changed, "message": message} | ({"warning": warning} if warning else {})
+
+    def _board_trip(self) -> str:
+        """Return why the board has tripped, "" where it has not."""
+        echo = self._rig.board.echo
+        return echo.trip_cause if echo is not None and echo.tripped else ""
 
     def _calibration(self) -> CalibrationSettings:
         return in_force(self._rig.settings.calibration, self._operation.calibrations)
@@ -521,6 +539,8 @@ class Loop:
                 board.maintain()
             case "maintenance":
                 board.end_maintenance()
+            case "clear_trip":
+                board.clear_trip()
             case _:
                 return ""
         if board.serve_until_answered(ECHO_TIMEOUT_S):
@@ -546,11 +566,17 @@ class Loop:
             ),
         )
 
-    def _clear_trip(self, request: Request) -> None:
-        clock = self._rig.clock
+    def _clear_trip(self, request: Request) -> Reply:
+        trips, of_board = self._memory.trips, self._board_trip()
         self._memory = clear_trip(self._memory, self._rig.settings.safety, self._temp_air())
-        self._rig.board.clear_trip()
-        self._tell("operator.clear_trip", Severity.INFO, with_author("trips cleared", request), clock.now())
+        warning, left = self._order_board(request), self._board_trip()
+        causes = dict.fromkeys(each for each in (*trips, of_board) if each not in ("", *ENDED_BY.values()))
+        changed, message = bool(causes), f"Trips are cleared: {', '.join(causes)}."
+        if left in causes:
+            changed, message = bool(trips), f"The board holds its trip, {left}, as long as its cause lasts."
+        elif not causes:
+            message = nothing_changed("No trip is latched.")
+        return self._said(changed, message, warning, request)
 
     def _act_now(self) -> None:
         """Apply new orders to the last decision at once, not a step later, and

@@ -22,7 +22,6 @@ from edge.tick.calibration import (
     Named,
     SensorDesk,
     StandingCalibration,
-    amount,
     new_calibration,
     new_point,
 )
@@ -32,14 +31,9 @@ from edge.tick.steering import from_dict as steering_from_dict
 
 Request = Mapping[str, Any]
 
-
 AUTHOR = "by"  # key of any request: who gave it
 AUTHOR_MAX = 60  # characters
-
-
-def in_words(request: Request) -> str:
-    """Describe an order that was carried out: `request` has passed `edge.tick.orders.operate`."""
-    return with_author(_WORDS[request["do"]](request), request)
+UTC_MAX = 1e11  # the year 5138; a calendar ends at 9999 [s since 1970]
 
 
 def author_of(request: Request) -> dict[str, Any]:
@@ -50,68 +44,10 @@ def author_of(request: Request) -> dict[str, Any]:
 def with_author(text: str, request: Request) -> str:
     """Add who gave a request to what it did, where the request says it."""
     author = request.get(AUTHOR)
-    return f"{text}, by {plain(author, AUTHOR_MAX)}" if isinstance(author, str) and author else text
-
-
-def _reference(request: Request) -> str:
-    value = request.get("reference_c")
-    return _FOLLOWS.format("reference") if value is None else f"the reference was set to {value:g} °C"
-
-
-def _controller(request: Request) -> str:
-    name = request["name"]
-    return _FOLLOWS.format("controller") if name is None else f"the controller was set to {name}"
-
-
-def _manual(request: Request) -> str:
-    named = []
-    if "heater_duty" in request:
-        named.append(f"heater {request['heater_duty']:.2f}")
-    if "fan_on" in request:
-        named.append(f"fan {'on' if request['fan_on'] else 'off'}")
-    if "led" in request:
-        named.append(f"LED {request['led']:.2f}")
-    return f"manual: {', '.join(named) or 'the last manual command'}, until the mode changes"
-
-
-def _maintenance_text(request: Request) -> str:
-    minutes = request["minutes"]
-    if minutes == 0:
-        return "maintenance was ended"
-    length = "1 minute" if minutes == 1 else f"{minutes:g} minutes"
-    return f"maintenance: everything is off for {length}"
-
-
-_FOLLOWS = "the {} follows the configuration again"
-_WORDS: dict[str, Callable[[Request], str]] = {
-    "set_mode": lambda request: f"the mode was set to {request['mode']}",
-    "set_fan_mode": lambda request: f"the fan was set to {request['fan_mode']}",
-    "set_reference": _reference,
-    "set_controller": _controller,
-    "set_manual": _manual,
-    "emergency_stop": lambda _: "emergency stop: everything is off until it is released",
-    "release_emergency_stop": lambda _: "the emergency stop was released",
-    "maintenance": _maintenance_text,
-    "steer": lambda request: f"confirmed: {request['steering']['words']}",
-    "undo": lambda _: "what was confirmed last was undone",
-    "start_profile": lambda request: f"the profile {plain(request['profile']['name'], NAME_MAX)} was started",
-    "pause_profile": lambda _: "the profile was paused",
-    "resume_profile": lambda _: "the profile goes on",
-    "skip_profile": lambda _: "the profile was moved to its next point",
-    "end_profile": lambda _: "the profile was ended",
-    "calibrate_point": lambda request: (
-        f"a calibration point of {request['signal']} was taken: "
-        f"the true value is {amount(request['signal'], request['true_value'])}"
-    ),
-    "discard_points": lambda request: f"the calibration points of {request['signal']} were discarded",
-    "apply_calibration": lambda request: f"{request['signal']} was calibrated by its points",
-    "reset_calibration": lambda request: (
-        f"the calibration of {request['signal']} follows the configuration again"
-    ),
-}
-
-
-UTC_MAX = 1e11  # the year 5138; a calendar ends at 9999 [s since 1970]
+    if not isinstance(author, str) or not author:
+        return text
+    name = plain(author, AUTHOR_MAX)
+    return f"{text} Ordered by {name}." if text.endswith(".") else f"{text}, by {name}"
 
 
 class Mode(Enum):
@@ -159,6 +95,11 @@ class Operation:
     reference_start: tuple[str, float] | None = (
         None  # of the configured reference: its sha256, since when [s]
     )
+
+    def at(self, utc: float) -> "Operation":
+        """Return the orders that hold at a time: every view shows these."""
+        until = self.maintenance_until_utc if self.in_maintenance(utc) else None
+        return replace(self, maintenance_until_utc=until, steering=self.steering_at(utc))
 
     def steering_at(self, utc: float) -> Steering | None:
         """None once it has ended."""

@@ -73,6 +73,7 @@ class FakeBoard:
     stops: int = 0
     cleared: int = 0
     soil: float | None = None  # of a board that waters, whose tank is full
+    keeps_trip: bool = False
     _sampled_s: float = -1.0
 
     @property
@@ -110,6 +111,7 @@ class FakeBoard:
         command = Command() if cause else self.commanded
         duty = 0.0 if self.tripped else command.heater_duty
         tripped = self.tripped or bool(cause)
+        cause = cause or "over_temperature" * self.tripped
         self.echo = Echo(duty, command.fan_on, command.led, False, tripped, cause, self.clock.now_s)
 
     def serve(
@@ -144,6 +146,7 @@ class FakeBoard:
 
     def clear_trip(self) -> None:
         self.cleared += 1
+        self.tripped = self.tripped and self.keeps_trip
 
     def accept(self) -> bool:
         accepted, self.foreign, self.link_up = bool(self.foreign), "", True

@@ -89,7 +89,7 @@ class ControlLoop:
         """Return the status of the last record."""
         record = self.last_record
         echo = self.echo or record.echo
-        return LoopStatus(self.operation, 0.0, self.trips, record, echo, record.link_up, {})
+        return LoopStatus(self.operation.at(record.utc), 0.0, self.trips, record, echo, record.link_up, {})
 
 
 def tick(telemetry: Telemetry, made: TickRecord, loop: ControlLoop | None = None) -> None:

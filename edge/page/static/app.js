@@ -84,6 +84,7 @@ function Group({ name, group, children }) {
 
 // Views come by two ways and may overtake each other. After a restart of the rig's computer their clock begins anew.
 const OVERTAKEN_S = 30;
+const SAID_MS = 15000; // an answer is true of its moment; after it the view says what holds
 const newer = (found) => (held) => {
   const ahead = held == null ? 0 : held.at_s - found.at_s;
   return ahead > 0 && ahead < OVERTAKEN_S ? held : found;
@@ -99,7 +100,13 @@ function Rig({ me }) {
     if (error?.status === 401) location.reload();
   }), []);
   const [orders, setOrders] = useState(0); // that this page has given
-  const done = () => {
+  const [said, setSaid] = useState(""); // the answer to this page's last order
+  useEffect(() => {
+    const over = setTimeout(() => setSaid(""), SAID_MS);
+    return () => clearTimeout(over);
+  }, [orders]);
+  const done = (answer) => {
+    setSaid(answer?.message ?? "");
     setOrders((before) => before + 1);
     return call("GET", "/api/view").then((found) => setView(newer(found)), () => {});
   };
@@ -110,6 +117,7 @@ function Rig({ me }) {
   return html`
     <header><h1>${me.rig}</h1><span class="quiet">${view?.status?.operation.mode ?? ""}</span></header>
     <div aria-live="assertive">${bad.map(([kind, text]) => html`<p key=${text} class=${`trouble ${kind}`}>${text}</p>`)}</div>
+    <p class="said" role="status">${said}</p>
     <main>
       <${Part}><${Now} view=${view} lost=${lost} /><//>
       <${Part}><${Course} view=${view} pick=${pick} /><//>

@@ -73,7 +73,8 @@ export function troubles(view, lost) {
   if (view?.reached && status) {
     if (status.foreign_board) found.push(["alarm", `Another board is at the port and not driven: ${status.foreign_board}. If it is the right one: greenhouse board accept.`]);
     else if (!status.link_up) found.push(["alarm", "The board is silent. It turns its heater off by itself; nobody can say what it does now."]);
-    if (status.echo?.tripped) found.push(["alarm", `The board has tripped: ${status.echo.trip_cause}.`]);
+    const asked = { emergency_stop: operation.emergency_stop, maintenance: operation.maintenance_until_utc };
+    if (status.echo?.tripped && !asked[status.echo.trip_cause]) found.push(["alarm", `The board has tripped: ${status.echo.trip_cause}.`]);
     for (const trip of status.trips) found.push(["alarm", `Tripped: ${trip}.`]);
     if (operation.maintenance_until_utc) found.push(["warn", `Maintenance until ${clock(operation.maintenance_until_utc)}: everything is off.`]);
     const air = status.tick?.readings.temp_air_c;
@@ -111,10 +112,11 @@ export function Stop({ view, me, done }) {
     try {
       const answer = await call("POST", "/api/stop");
       setSaid(answer.warning ? { text: answer.warning } : null);
+      done(answer);
     } catch (error) {
       setSaid({ text: `The stop did not arrive: ${error.message}. Pull the plug.`, failed: true });
+      done();
     }
-    done();
   };
   return html`<footer class="stop">
     ${said && html`<p role="alert" class=${said.failed ? "failed" : ""}>${said.text}</p>`}
@@ -174,10 +176,10 @@ export function Ask({ me, done }) {
   if (!me.may.includes("ask")) return null;
   const ask = async () => setProposal((await call("POST", "/api/order", { do: "ask", words })).proposal);
   const confirm = async () => {
-    await call("POST", "/api/order", { do: "confirm", id: proposal.id });
+    const answer = await call("POST", "/api/order", { do: "confirm", id: proposal.id });
     setProposal(null);
     setWords("");
-    done();
+    done(answer);
   };
   const discard = async () => {
     if (proposal.state === "ready") await call("POST", "/api/order", { do: "discard", id: proposal.id, why });

@@ -118,7 +118,7 @@ def test_a_person_sees_operates_and_nothing_is_in_the_way_of_a_screen_reader(
         tap(driver, "Fan only")
         wait_for(lambda: daemon.ask("status")["operation"]["mode"] == "fan_only")
         wait_for(lambda: not heats(board))
-        wait_for(lambda: f"the mode was set to fan_only, by {name} (page)" in text(driver))
+        wait_for(lambda: f"the heater stays off. Ordered by {name} (page)." in text(driver))
         for link in driver.find_elements(By.CSS_SELECTOR, "nav a"):
             driver.execute_script("arguments[0].click()", link)
             wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, ".group:not([hidden]) h2"))
@@ -230,7 +230,7 @@ def test_a_view_that_comes_late_does_not_bring_back_what_was(rig) -> None:
         driver.execute_script(WATCH_THE_MODE)
         tap(driver, "+")
         tap(driver, "Set")
-        wait_for(lambda: "the reference was set to 32.5 °C, by Eva (page)" in text(driver))
+        wait_for(lambda: "Holding 32.5 °C by hand. Ordered by Eva (page)." in text(driver))
         assert set(driver.execute_script("return window.seen")) == {"fan_only"}
 
 
@@ -280,7 +280,7 @@ def test_a_sensor_is_calibrated_step_by_step_and_back(rig) -> None:
         driver.execute_script(COUNT_WHAT_WAITS)
         tap(driver, "Apply")
         wait_for(lambda: state()["since_utc"] is not None)
-        said = ("soil_moisture was calibrated by its points, by Ann (page)",)
+        said = ("soil_moisture is calibrated by its points. Ordered by Ann (page).",)
         wait_for(lambda: said in daemon.rows("SELECT text FROM events WHERE key = 'operator.order'"))
         # A daemon that is killed before it answers leaves the page a time-out to complain of.
         wait_for(lambda: driver.execute_script("return window.waiting") == 0)
@@ -400,6 +400,7 @@ def test_every_control_of_a_person_who_operates(rig, board: VirtualBoard) -> Non
         tap(driver, "+")
         tap(driver, "Set")
         wait_for(lambda: operation()["reference_c"] == 32.5)
+        wait_for(lambda: driver.find_element(By.CLASS_NAME, "said").text == "Holding 32.5 °C by hand.")
         wait_for(lambda: "Follow the programme again" in buttons(driver))
         tap(driver, "Follow the programme again")
         wait_for(lambda: operation()["reference_c"] is None)
@@ -410,6 +411,7 @@ def test_every_control_of_a_person_who_operates(rig, board: VirtualBoard) -> Non
         tap(driver, "15 min")
         wait_for(lambda: operation()["maintenance_until_utc"] is not None and not heats(board))
         wait_for(lambda: "Maintenance until" in text(driver))
+        assert "The board has tripped" not in text(driver)
         tap(driver, "End it")
         wait_for(lambda: operation()["maintenance_until_utc"] is None)
         driver.find_element(By.CSS_SELECTOR, "[aria-label='What you want']").send_keys(WISH)

@@ -67,8 +67,8 @@ def test_a_viewer_stops_the_rig_and_the_history_says_who(rig: Rig) -> None:
     daemon.wait_ticks(2)
     told = [text for (text,) in daemon.rows("SELECT text FROM events WHERE key = 'operator.order'")]
     assert told[-2:] == [
-        "emergency stop: everything is off until it is released, by guest (page)",
-        "the emergency stop was released, by Ann (page)",
+        "Emergency stop: everything is off until it is released. Ordered by guest (page).",
+        "The emergency stop is released. Ordered by Ann (page).",
     ]
 
 

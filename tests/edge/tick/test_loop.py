@@ -15,7 +15,9 @@ from typing import Any
 import pytest
 from loop_rig import UTC_0, LoopRig, is_safe
 
+from edge.commands.orders import status_lines
 from edge.core.messages import AirSensorPair, Command, ReadingQuality, Severity, TickRecord
+from edge.mqtt.states import state
 from edge.safety.supervisor import SafetyMemory
 from edge.state.store import STANDING, restore
 from edge.tick.faults import FAILURES, Conditions
@@ -397,9 +399,72 @@ def test_a_stop_without_a_link_says_so_and_reaches_the_board_later(
 
 def test_a_stop_given_again_goes_to_the_board_again(rig: LoopRig) -> None:
     rig.tick()
-    rig.ask({"do": "emergency_stop"})
-    rig.ask({"do": "emergency_stop"})
+    assert rig.ask({"do": "emergency_stop"})["changed"]
+    assert not rig.ask({"do": "emergency_stop"})["changed"]
     assert rig.board.stops == 2
+    assert rig.tick() and rig.events().count("operator.order") == 1
+
+
+NOTHING_TO_END = [
+    ({"do": "release_emergency_stop"}, "there is no emergency stop."),
+    ({"do": "maintenance", "minutes": 0}, "there is no maintenance."),
+    ({"do": "clear_trip"}, "no trip is latched."),
+    ({"do": "set_mode", "mode": "auto"}, "in mode auto, MPC controls the heater and the fan."),
+    ({"do": "set_controller", "name": "MPC"}, "in mode auto, MPC controls the heater and the fan."),
+    ({"do": "set_reference", "reference_c": None}, "holding the configured set point."),
+]
+
+
+@pytest.mark.parametrize(("order", "holds"), NOTHING_TO_END)
+def test_an_order_that_changes_nothing_says_so_and_records_nothing(
+    rig: LoopRig, order: dict[str, Any], holds: str
+) -> None:
+    rig.tick()
+    reply = rig.ask({**order, "by": "Ann"})
+    said = (True, False, f"Nothing changed: {holds}")
+    assert (reply["ok"], reply["changed"], reply["message"]) == said
+    rig.tick()
+    assert not {"operator.order", "operator.clear_trip"} & set(rig.events())
+
+
+@pytest.mark.parametrize(
+    ("held", "order", "message"),
+    [
+        ("stopped", {"do": "release_emergency_stop"}, "The board's own emergency stop is over."),
+        ("maintained", {"do": "maintenance", "minutes": 0}, "The board's own maintenance is over."),
+        ("tripped", {"do": "clear_trip"}, "Trips are cleared: over_temperature."),
+    ],
+)
+def test_the_end_of_what_only_the_board_holds_reaches_the_board_and_is_recorded(
+    rig: LoopRig, held: str, order: dict[str, Any], message: str
+) -> None:
+    rig.tick()
+    setattr(rig.board, held, True)
+    rig.board.drive(Command(), False, 1.0)
+    reply = rig.ask({**order, "by": "Ann"})
+    assert (reply["changed"], reply["message"], getattr(rig.board, held)) == (True, message, False)
+    assert f"{message} Ordered by Ann." in [event.text for event in rig.tick().events]
+    assert not rig.ask(order)["changed"]
+
+
+def test_a_trip_that_the_board_keeps_is_not_called_cleared(rig: LoopRig) -> None:
+    rig.tick()
+    rig.board.tripped = rig.board.keeps_trip = True
+    rig.board.drive(Command(), False, 1.0)
+    reply = rig.ask({"do": "clear_trip"})
+    assert not reply["changed"]
+    assert "holds its trip, over_temperature, as long as its cause lasts" in reply["message"]
+
+
+def test_a_status_shows_maintenance_until_its_end_and_no_longer(rig: LoopRig) -> None:
+    rig.tick()
+    rig.ask({"do": "maintenance", "minutes": 1})
+    for after_s, shown in ((59.0, True), (2.0, False), (14 * 3600.0, False)):
+        rig.clock.now_s += after_s
+        status = rig.ask({"do": "status"})
+        assert (status["operation"]["maintenance_until_utc"] is not None) is shown
+        assert any("MAINTENANCE" in line for line in status_lines(status)) is shown
+        assert state(status, {})["maintenance"] == shown
 
 
 def test_status_right_after_a_stop_shows_the_pins_of_now(rig: LoopRig) -> None:
