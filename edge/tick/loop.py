@@ -484,13 +484,13 @@ class Loop:
         holds = {"emergency_stop": after.emergency_stop, "maintenance": after.in_maintenance(utc)}
         if not changed and of_board == ENDED_BY.get(request["do"]) and not holds[of_board]:
             changed, message = True, f"The board's own {of_board.replace('_', ' ')} is over."
-        said = self._said(changed, message, warning, request)
+        said = self._answer_keys(changed, message, warning, request)
         self._follow_calibration(before)
         if acts_at_once(before, self._operation):
             self._act_now()
         return said
 
-    def _said(self, changed: bool, message: str, warning: str, request: Request) -> Reply:
+    def _answer_keys(self, changed: bool, message: str, warning: str, request: Request) -> Reply:
         """Return an answer's keys, and record an order that changed something."""
         if changed:
             key = "operator.clear_trip" if request["do"] == "clear_trip" else "operator.order"
@@ -576,7 +576,7 @@ class Loop:
             changed, message = bool(trips), f"The board holds its trip, {left}, as long as its cause lasts."
         elif not causes:
             message = nothing_changed("No trip is latched.")
-        return self._said(changed, message, warning, request)
+        return self._answer_keys(changed, message, warning, request)
 
     def _act_now(self) -> None:
         """Apply new orders to the last decision at once, not a step later, and
