@@ -13,6 +13,7 @@ from edge.core.errors import GreenhouseError, RequestError
 from edge.formats.reader import DocumentError, parse_json
 
 Json = dict[str, Any]
+UTC_MAX = 253_402_300_799.0  # the last second of the year 9999, the calendar's end [s since 1970]
 
 
 class NotAllowed(Exception):
@@ -84,3 +85,10 @@ def number(values: Mapping[str, Any], key: str, otherwise: float | None = None) 
     if not abs(found) < 1e12:
         raise RequestError(f"{key}: a number is needed")
     return found
+
+
+def moment(values: Mapping[str, Any], key: str) -> float:
+    """Return a time of a request that a calendar has [s since 1970]. Errors: RequestError"""
+    if not 0.0 <= (utc := number(values, key)) <= UTC_MAX:
+        raise RequestError(f"{key}: a time in seconds since 1970, UTC, is needed")
+    return utc

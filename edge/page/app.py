@@ -73,9 +73,7 @@ def make_app(settings: Settings, file: str = "") -> Guard:
         yield
         for task in tasks:
             task.cancel()
-        for streams in page.streams.values():
-            for ended in streams:
-                ended.set()
+        page.streams.end(*page.streams.open)
 
     routes = [
         *(

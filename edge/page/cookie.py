@@ -3,6 +3,8 @@
 from starlette.requests import Request
 from starlette.responses import Response
 
+from edge.page.guard import is_https
+
 COOKIE = "greenhouse_session"
 COOKIE_S = 365 * 86_400  # the session ends before, on this side
 
@@ -15,7 +17,7 @@ def secret_of(request: Request) -> str:
 
 def set_cookie(request: Request, response: Response, secret: str) -> None:
     """Have the browser keep the secret."""
-    secure = request.url.scheme == "https" or request.headers.get("x-forwarded-proto") == "https"
+    secure = is_https(request.url.scheme, request.headers)
     response.set_cookie(COOKIE, secret, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure)
 
 

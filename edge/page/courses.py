@@ -68,8 +68,8 @@ class Courses:
         Errors : DataError; RequestError for times that are no span
         """
         span_s, points = last_utc - first_utc, min(max(points, 2), POINTS_MAX)
-        if not 0.0 < span_s < 1e9:
-            raise RequestError("from_utc has to be before to_utc")
+        if not 1.0 <= span_s < 1e9:
+            raise RequestError("from_utc has to be before to_utc, by a second at least")
         width_s = _width_s(span_s / (points - 1))  # cut at both ends, they are one more
         buckets = range(math.floor(first_utc / width_s), math.floor(last_utc / width_s) + 1)
         with reading(self._path) as db:

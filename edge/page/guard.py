@@ -18,6 +18,7 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 BODY_MAX = 64 << 10  # bytes
+HSTS_S = 30 * 86_400  # no longer: it holds for every port of the host, also where TLS is given up
 BODY_MAX_S = 10.0  # for all of a body
 METHODS = ("GET", "HEAD", "POST", "DELETE")
 SAFE = ("GET", "HEAD")
@@ -56,7 +57,8 @@ class Guard:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        headers, sending = Headers(scope=scope), _with_headers(send, scope["path"])
+        headers = Headers(scope=scope)
+        sending = _with_headers(send, scope["path"], is_https(scope["scheme"], headers))
         refused = self._refusal(scope["method"], scope["scheme"], headers)
         if refused is not None:
             status, reason = refused
@@ -149,12 +151,19 @@ def _receive_again(body: bytes, receive: Receive) -> Receive:
     return give
 
 
-def _with_headers(send: Send, path: str) -> Send:
+def is_https(scheme: str, headers: Headers) -> bool:
+    """Return whether the browser came by https, to this page or to a proxy before it."""
+    return scheme == "https" or headers.get("x-forwarded-proto") == "https"
+
+
+def _with_headers(send: Send, path: str, secure: bool) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             for name, value in HEADERS.items():
                 headers.setdefault(name, value)  # a route may be stricter
+            if secure:
+                headers["strict-transport-security"] = f"max-age={HSTS_S}"
             headers["cache-control"] = "no-store" if path.startswith("/api/") else "no-cache"
         await send(message)
 

@@ -50,6 +50,13 @@ def events(path: Path, before_utc: float | None, severities: tuple[str, ...], mo
     return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
+def has_alarm(path: Path, seq: int, number: int) -> bool:
+    """Return whether event `number` of tick `seq` is an alarm. Errors: DataError"""
+    query = "SELECT 1 FROM events WHERE seq = ? AND number = ? AND severity = 'alarm'"
+    with reading(path) as db:
+        return db.execute(query, (seq, number)).fetchone() is not None
+
+
 def reading(path: Path) -> AbstractContextManager[sqlite3.Connection]:
     """Open the history for reading alone. Errors: DataError
 

@@ -1,6 +1,5 @@
 """The state that all routes share: the rig, who has access, tries of a password, open streams."""
 
-import asyncio
 import time
 from dataclasses import dataclass, field
 from http import HTTPStatus
@@ -20,6 +19,7 @@ from edge.page.courses import Courses
 from edge.page.password_tries import PasswordTries
 from edge.page.questions import TwinQuestions
 from edge.page.rig_link import RigLink
+from edge.page.streams import Streams
 
 TESTS, TESTS_S = 5, 20.0  # of alarm channels: at once; at length [s]
 STOPS, STOPS_S = 2, 300.0  # that one link to view may set against releases: at once; at length [s]
@@ -38,7 +38,7 @@ class Page:
     alarm_tests: Allowance = field(default_factory=lambda: Allowance(TESTS, 1.0 / TESTS_S, time.monotonic))
     tries: PasswordTries = field(default_factory=PasswordTries)
     course_places: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(1))
-    streams: dict[int, list[asyncio.Event]] = field(default_factory=dict)  # of each session, the oldest first
+    streams: Streams = field(default_factory=Streams)
     stops: dict[int, Allowance] = field(default_factory=dict)  # of each link to view that has stopped the rig
     is_exporting: bool = False  # the history is on its way to somebody
 

@@ -1,24 +1,24 @@
 """Routes of the rig: what it does, did and why; orders and the stop."""
 
-import asyncio
 import json
 from collections.abc import AsyncIterator
 from http import HTTPStatus
 
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from edge.core.errors import RequestError
 from edge.core.messages import Severity
 from edge.page import history
 from edge.page.access import Visitor
-from edge.page.answers import NotAllowed, answer, document, in_thread, number, passed_on
+from edge.page.answers import NotAllowed, answer, document, in_thread, moment, number, passed_on
 from edge.page.orders import NEEDS, problem
 from edge.page.page_state import Page
 from edge.page.questions import options
+from edge.page.streams import Stream
 from edge.tick.inbox import as_stop
 
-STREAMS_MAX, STREAMS_OF_ONE = 40, 4
 BEAT_S = 5.0  # between two signs of life on a quiet stream
 
 
@@ -30,36 +30,37 @@ async def view(page: Page, request: Request, visitor: Visitor) -> Response:
 
 async def stream(page: Page, request: Request, visitor: Visitor) -> Response:
     """Return what is known now, and again with every change, as server-sent events."""
-    if sum(map(len, page.streams.values())) >= STREAMS_MAX:
-        raise NotAllowed(HTTPStatus.SERVICE_UNAVAILABLE, f"{STREAMS_MAX} viewers look already")
-    own = page.streams.setdefault(visitor.session, [])
-    if len(own) >= STREAMS_OF_ONE:
-        own.pop(0).set()
-    ended = asyncio.Event()
-    own.append(ended)
-    return StreamingResponse(_views(page, visitor, ended), media_type="text/event-stream")
+    return _Views(page, page.streams.begin(visitor))
 
 
-async def _views(page: Page, visitor: Visitor, ended: asyncio.Event) -> AsyncIterator[str]:
-    page.rig.viewers += 1
+class _Views(StreamingResponse):
+    """Views on their way; whoever hangs up before the first of them gives the place back too."""
+
+    def __init__(self, page: Page, begun: Stream) -> None:
+        super().__init__(_views(page, begun), media_type="text/event-stream")
+        self._page, self._begun = page, begun
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send them, and free the place for the next viewer."""
+        self._page.rig.viewers += 1
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._page.rig.viewers -= 1
+            self._page.streams.end(self._begun)
+
+
+async def _views(page: Page, begun: Stream) -> AsyncIterator[str]:
     page.rig.look_now()
-    try:
-        while not ended.is_set():
-            yield f"data: {json.dumps(page.rig.view(), separators=(',', ':'))}\n\n"
-            await page.rig.next_news(BEAT_S)
-    finally:
-        page.rig.viewers -= 1
-        own = page.streams.get(visitor.session, [])
-        if ended in own:
-            own.remove(ended)
-        if not own:
-            page.streams.pop(visitor.session, None)
+    while not begun.ended.is_set():
+        yield f"data: {json.dumps(page.rig.view(), separators=(',', ':'))}\n\n"
+        await page.rig.next_news(BEAT_S)
 
 
 async def course(page: Page, request: Request, visitor: Visitor) -> Response:
     """Return columns of the history between two times."""
     given = request.query_params
-    first_utc, last_utc = number(given, "from_utc"), number(given, "to_utc")
+    first_utc, last_utc = moment(given, "from_utc"), moment(given, "to_utc")
     points = int(number(given, "points", 600))
     read = page.courses.between
     return answer(
@@ -74,7 +75,7 @@ async def span(page: Page, request: Request, visitor: Visitor) -> Response:
 
 async def why(page: Page, request: Request, visitor: Visitor) -> Response:
     """Return the reasons of the command that held at a time."""
-    found = await page.rig.ask({"do": "why", "at_utc": number(request.query_params, "at_utc")})
+    found = await page.rig.ask({"do": "why", "at_utc": moment(request.query_params, "at_utc")})
     return passed_on(found)
 
 
@@ -90,7 +91,7 @@ async def events(page: Page, request: Request, visitor: Visitor) -> Response:
     least = given.get("least", kinds[0])
     if least not in kinds:
         raise RequestError(f"least: one of {', '.join(kinds)}")
-    before_utc = number(given, "before_utc") if "before_utc" in given else None
+    before_utc = moment(given, "before_utc") if "before_utc" in given else None
     most = int(number(given, "most", 50))
     found = await in_thread(history.events, page.history, before_utc, kinds[kinds.index(least) :], most)
     first_seq = min((event["seq"] for event in found), default=0)
@@ -103,6 +104,8 @@ async def acknowledge(page: Page, request: Request, visitor: Visitor) -> Respons
     """Note that the visitor has seen an alarm."""
     given = await document(request)
     seq, place = int(number(given, "seq")), int(number(given, "number"))
+    if not await in_thread(history.has_alarm, page.history, seq, place):
+        raise RequestError(f"there is no alarm {place} of tick {seq}")
     await in_thread(page.access.acknowledge, seq, place, visitor.name)
     return answer(ok=True)
 

@@ -91,9 +91,8 @@ async def revoke(page: Page, request: Request, visitor: Visitor) -> Response:
         raise RequestError(f"{kind}: there is no {plain(key)}")
     if role > Role.VIEW and visitor.role < Role.ADMIN:
         raise NotAllowed(HTTPStatus.FORBIDDEN, f"to end the role {role.word} needs the role admin")
-    for session in await in_thread(page.access.revoke, kind, given):
-        for ended in page.streams.get(session, ()):
-            ended.set()
+    ended = await in_thread(page.access.revoke, kind, given)
+    page.streams.end(*(each for each in page.streams.open if each.session in ended))
     return answer(ok=True)
 
 

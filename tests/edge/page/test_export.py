@@ -16,7 +16,7 @@ from history_records import START_UTC, eventful_tick, store, tick
 from edge.__main__ import main
 from edge.commands.arguments import moment
 from edge.core.errors import DataError
-from edge.core.messages import Reading, ReadingQuality
+from edge.core.messages import Event, Reading, ReadingQuality, Severity
 from edge.formats.run_file import read_run
 from edge.page import export, history
 from edge.page.access import DAY_S, Role
@@ -111,7 +111,7 @@ def season() -> Iterator[PageProcess]:
     """A page whose history has a tick a minute for a season."""
     with tempfile.TemporaryDirectory(prefix="gh-") as name:
         file = Path(name) / "history.db"
-        store(file, tick(1))
+        store(file, tick(1, events=(Event("board.link_lost", Severity.ALARM, "silent", 60.0, START_UTC),)))
         with closing(sqlite3.connect(file)) as db, db:
             for table in ("ticks", "readings"):
                 columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
@@ -160,10 +160,46 @@ def test_whoever_hangs_up_or_stops_reading_leaves_the_page_as_it_was(season: Pag
     wait_for(lambda: guest.get("/api/export?from_utc=1&to_utc=2").status_code == 404)
 
 
-@pytest.mark.parametrize("span", ["", "from_utc=5&to_utc=5", "from_utc=9&to_utc=5", "from_utc=x&to_utc=5"])
-def test_a_span_that_is_none_is_refused(season: PageProcess, span: str) -> None:
-    answer = season.client(Role.VIEW).get(f"/api/export?{span}")
+SPANS = ("", "from_utc=5&to_utc=5", "from_utc=9&to_utc=5", "from_utc=x&to_utc=5")
+NO_TIMES = (
+    "from_utc=-9e11&to_utc=5",
+    "from_utc=0&to_utc=9e11",
+    "from_utc=3e11&to_utc=4e11",
+    "from_utc=-1&to_utc=5",
+)
+
+
+@pytest.mark.parametrize("route", ["export", "course"])
+@pytest.mark.parametrize("span", [*SPANS, *NO_TIMES])
+def test_a_span_that_is_none_is_refused_and_blocks_nobody(season: PageProcess, span: str, route: str) -> None:
+    guest = season.client(Role.VIEW)
+    answer = guest.get(f"/api/{route}?{span}")
     assert (answer.status_code, "utc" in answer.json()["error"]) == (400, True)
+    assert guest.get("/api/export?from_utc=1&to_utc=2").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [
+        ("course?from_utc=0&to_utc=1e-320", 400),
+        ("course?from_utc=1e11&to_utc=100000000001", 200),
+        ("events?before_utc=-9e11", 400),
+        ("why?at_utc=9e11", 400),
+        ("export?from_utc=0&to_utc=1", 404),
+    ],
+)
+def test_absurd_times_are_refused_by_every_route(season: PageProcess, path: str, status: int) -> None:
+    assert season.client(Role.VIEW).get(f"/api/{path}").status_code == status
+
+
+def test_an_alarm_is_acknowledged_once_it_exists_and_not_before(path: Path, season: PageProcess) -> None:
+    assert [history.has_alarm(path, *place) for place in ((20, 0), (20, 1), (21, 0))] == [True, False, False]
+    operator = season.client(Role.OPERATE)
+    for place in ((1, 1), (2, 0), (TICKS + 1, 0), (1e11, 0)):
+        answer = operator.post("/api/events/acknowledge", dict(zip(("seq", "number"), place, strict=True)))
+        assert (answer.status_code, "there is no alarm" in answer.json()["error"]) == (400, True)
+    assert operator.post("/api/events/acknowledge", {"seq": 1, "number": 0}).ok
+    assert season.access.who_acknowledged(0) == {(1, 0): "Ann"}
 
 
 def test_without_a_session_nothing_is_exported(season: PageProcess) -> None:

@@ -164,6 +164,9 @@ def test_what_stands_in_a_text_reaches_the_browser_as_text(page: PageProcess, ad
         assert "html" not in answer.headers.get("content-type", "")
         assert answer.headers["content-security-policy"].startswith("default-src 'self';")
         assert answer.headers["x-content-type-options"] == "nosniff"
+        assert "strict-transport-security" not in answer.headers
+        behind_tls = admin.get(path, **{"x-forwarded-proto": "https"})
+        assert behind_tls.headers["strict-transport-security"] == "max-age=2592000"
 
 
 def test_two_hundred_streams_leave_the_page_to_the_others(page: PageProcess) -> None:
@@ -179,9 +182,9 @@ def test_two_hundred_streams_leave_the_page_to_the_others(page: PageProcess) -> 
             answer = crowd[k % 20].session.get(f"{page.base}/api/stream", stream=True, timeout=20)
             stack.callback(answer.close)
             page_streams.append(answer.status_code)
-        assert page_streams.count(200) >= 40
-        assert 503 in page_streams
+        assert set(page_streams) == {200}  # older ones end
         other = page.client(Role.VIEW, "other")
+        stack.enter_context(other.session.get(f"{page.base}/api/stream", stream=True, timeout=20))
         assert other.view()["ok"]
         assert other.post("/api/stop").json()["ok"]
     assert page.process is not None

@@ -60,7 +60,7 @@ def page() -> Iterator[PageProcess]:
 def test_with_a_certificate_the_page_is_served_and_its_cookie_never_leaves_https(page: PageProcess) -> None:
     client = page.client(Role.OPERATE)
     assert page.base.startswith("https://")
-    assert client.get("/").ok
+    assert client.get("/").headers["strict-transport-security"] == "max-age=2592000"
     assert cookie_of(client).secure
     assert client.view()["ok"]
     assert client.post("/api/stop").json()["waits"]
