@@ -157,9 +157,7 @@ class Daemon:
         routes = Routes(settings, inbox, bundles, desk, self.commissioning, nightly)
         socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post, stop_file)
         stack.callback(socket.close)
-        with suppress(OSError):  # a user who cannot write there: the rig runs, and orders need --socket
-            if isinstance(self.clock, RealClock) and (entry := register(settings)) is not None:
-                stack.callback(entry.unlink, missing_ok=True)
+        self._register()
         session = Session(__version__, config_hash(settings), models.versions(), boot)
         storage = Storage(settings.history, self.clock, session)
         first_seq = storage.open()
@@ -228,6 +226,12 @@ class Daemon:
         if self.commissioning is not None:
             self.commissioning.serve(self.stop, show_commissioning)
         return loop
+
+    def _register(self) -> None:
+        """Let commands find this rig by its name, where the machine's clock runs it."""
+        with suppress(OSError):  # a user who cannot write there: the rig runs, and orders need --socket
+            if isinstance(self.clock, RealClock) and (entry := register(self.settings)) is not None:
+                self._stack.callback(entry.unlink, missing_ok=True)
 
     def _lock(self, key: str, path: str) -> None:
         """Refuse a second daemon that would share a file, whatever its socket is. Errors: ConfigError"""

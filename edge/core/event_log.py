@@ -24,7 +24,7 @@ class Allowance:
 
     @property
     def has_room(self) -> bool:
-        """Whether `take` would return True now."""
+        """Return whether `take` would return True now."""
         with self._lock:
             return self._left + self._per_s * (self._clock() - self._at_s) >= 1.0
 

@@ -90,7 +90,7 @@ def decode_safety(values: Mapping[str, Any]) -> SafetyMemory:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What limits have used up, and how long the configured reference runs; times in seconds before `at`.
+    """The used shares of limits, and how long the configured reference runs; times in seconds before `at`.
 
     doses : age, utc, length; proof : of the relay, times since the last one, with heat, with the fan
     releases_s : how far `releases_until_s` lies ahead

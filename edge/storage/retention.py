@@ -85,7 +85,8 @@ def _old_ticks(connection: sqlite3.Connection, before_utc: float, now_utc: float
     """Return the lowest numbers up to the last tick that is older than the first young one by number."""
     # The +: in the order of numbers up to the first that fits; an index by time would read all young ones.
     young = "SELECT seq FROM ticks WHERE seq > 0 AND +utc BETWEEN :before AND :now ORDER BY seq LIMIT 1"
-    last = f"SELECT seq FROM ticks WHERE seq < ({young}) AND +utc < :before ORDER BY seq DESC LIMIT 1"
+    first = f"ifnull(({young}), 9e18)"
+    last = f"SELECT seq FROM ticks WHERE seq < {first} AND +utc < :before ORDER BY seq DESC LIMIT 1"
     rows = connection.execute(
         f"SELECT seq FROM ticks WHERE seq > 0 AND seq <= ({last}) AND NOT EXISTS"  # named runs are kept
         " (SELECT 1 FROM runs WHERE seq BETWEEN runs.first_seq AND runs.last_seq) ORDER BY seq LIMIT :rows",

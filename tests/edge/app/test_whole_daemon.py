@@ -304,9 +304,7 @@ def test_a_wrong_or_missing_configuration_is_one_clear_line_and_exit_code_2(
     assert told.out == ""
 
 
-def test_a_second_daemon_is_refused_and_gets_no_board(
-    folder: Path, board: VirtualBoard
-) -> None:
+def test_a_second_daemon_is_refused_and_gets_no_board(folder: Path, board: VirtualBoard) -> None:
     with DaemonProcess(folder) as daemon:
         wait_for(lambda: heats(board))
         second = subprocess.run(

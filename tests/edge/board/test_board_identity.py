@@ -97,7 +97,7 @@ def test_a_board_without_a_configuration_is_never_pinned(tmp_path: Path) -> None
         assert board.foreign and not board.accept() and pins == []
 
 
-class Session:
+class ConfigurableSession:
     """A board that takes a configuration."""
 
     path = "port"
@@ -121,7 +121,7 @@ def block(board_id: int, **more: object) -> BoardBlock:
 
 
 def test_setup_gives_a_board_with_the_examples_id_one_of_its_own() -> None:
-    sessions = [Session(board_id) for board_id in (1, 1, 77, 0)]
+    sessions = [ConfigurableSession(board_id) for board_id in (1, 1, 77, 0)]
     for session in sessions:
         list(board_tool.give_own_id(session))  # type: ignore[arg-type]
     first, second, *others = [session.hello.board_id for session in sessions]
@@ -132,6 +132,6 @@ def test_setup_gives_a_board_with_the_examples_id_one_of_its_own() -> None:
 def test_a_file_with_the_examples_id_leaves_a_board_its_own(
     before: int, in_file: int, after: int | None
 ) -> None:
-    session = Session(before)
+    session = ConfigurableSession(before)
     list(board_tool.configure(session, block(in_file, fan_safe_on=False)))  # type: ignore[arg-type]
     assert session.hello.board_id == after if after else session.hello.board_id > 1

@@ -17,6 +17,7 @@ from edge.app.backup import BackupManifest, read_manifest
 from edge.app.commission_button import CommissionRequest
 from edge.app.nightly_diagnosis import AdoptRequest, Findings, UnitAnswer, UnitRequest
 from edge.app.request_routes import WhyRequest
+from edge.app.running_rigs import RunningRig
 from edge.app.setup import SetupAnswers, read_answers
 from edge.assistant.llm import wire
 from edge.assistant.llm.answer import SaidControls, SimulatedControls, read_answer
@@ -352,6 +353,7 @@ KINDS: dict[type, DocumentKind] = {
     Roles: in_memory(Roles, asdict(Roles())),
     CalibratePoint: asked(CalibratePoint, {"signal": "co2", "true_value": 420.0}, ("true_value",)),
     OneSignal: asked(OneSignal, {"signal": "co2"}),
+    RunningRig: in_memory(RunningRig, asdict(RunningRig("demo", "/run/greenhouse/control.sock"))),
     Admission: in_memory(Admission, asdict(Admission("1.0", ("0" * 64,)))),
 }
 FOREIGN = {ChoicesDocument, ReportedTwin, Findings, ModelReport}  # may hold keys of others

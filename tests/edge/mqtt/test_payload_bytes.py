@@ -13,7 +13,7 @@ from edge.tick.status import status_json
 
 # Of the same script at commit 8465879, in which the control thread still encoded its answers itself; since
 # then answers have the calibrations too.
-SHA256 = "ccb6ae7c09fd674fd29e5ca95ea3c44e26abd8eca03c74a352ecf00f2fd3baca"
+SHA256 = "290b7ffa71de143bace493449faa2a5fc1b390614e8d8b00a8ad3b98139b9d68"
 TOPICS = (states.decision, states.forecast, states.forecasts, states.skill, states.drift)
 COUNTERS = {"ticks_late": 1, "ticks_skipped": 0, "outbox_depth": None}
 STEERING = {

@@ -10,7 +10,8 @@ from contextlib import ExitStack
 import pytest
 
 from edge.core.hard_limits import LEASE_S
-from edge.page.access import Role
+from edge.page.access import DAY_S, Role
+from edge.page.page_state import STOPS
 from edge.page.protocol import CONNECTIONS_MAX
 from tests.support.broker import wait_for
 from tests.support.daemon_process import DaemonProcess
@@ -86,6 +87,25 @@ def test_a_stop_arrives_within_a_second_whoever_holds_connections(rig: Rig, begu
         assert fresh.post("/api/stop").json()["ok"]
         assert daemon.ask("status")["operation"]["emergency_stop"]
         assert time.monotonic() - begun_s < 1.0
+
+
+def test_one_link_defeats_two_releases_and_no_third_and_keeps_nobody_else_from_a_stop(rig: Rig) -> None:
+    daemon, page, _ = rig
+    link = page.access.make_link(Role.VIEW, "vandal", DAY_S, None)
+    vandals, other = [Client(page.base) for _ in range(2)], page.client(Role.VIEW, "guest")
+    for client in vandals:
+        assert client.post("/api/session", {"link": link}).ok
+
+    def stopped() -> bool:
+        return bool(daemon.ask("status")["operation"]["emergency_stop"])
+
+    for number in range(4):
+        codes = {client.post("/api/stop").status_code for client in vandals * 3}
+        assert (codes, stopped()) == (({200}, True) if number < STOPS else ({429}, False))
+        assert daemon.ask("release_emergency_stop")["ok"]
+        wait_for(lambda: not page.client().view()["status"]["operation"]["emergency_stop"])
+    assert other.post("/api/stop").ok and stopped()
+    assert vandals[0].post("/api/order", {"do": "stop"}).status_code in (200, 429) and stopped()
 
 
 def test_with_the_daemon_hung_a_stop_leaves_the_heater_off_within_a_lease_and_for_good(rig: Rig) -> None:
