@@ -16,6 +16,7 @@ from edge.assistant.llm.budget import Spending
 from edge.core.clock import Moment
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import DataError
+from edge.core.messages import Command
 from edge.core.plain_text import quote
 from edge.drift import noise, where
 from edge.drift.evidence import Evidence
@@ -23,7 +24,7 @@ from edge.drift.monitor import DriftMemory
 from edge.forecasts.skill import ErrorPair, SkillState, Width
 from edge.formats.cross_check import Rule
 from edge.formats.reader import read
-from edge.safety.memory import DAY_S, HEAT_BUCKET_S, HOUR_S, Dose, SafetyMemory
+from edge.safety.memory import DAY_S, HEAT_BUCKET_S, Dose, SafetyMemory, book_heat
 from edge.safety.relay_proof import RelayProof
 from edge.safety.thermal_supervision import ThermalMemory
 from edge.tick import orders_json
@@ -90,7 +91,7 @@ def decode_safety(values: Mapping[str, Any]) -> SafetyMemory:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The used shares of limits, and how long the configured reference runs; times in seconds before `at`.
+    """Use of limits so far, and how long the configured reference runs; times in seconds before `at`.
 
     doses : age, utc, length; proof : of the relay, times since the last one, with heat, with the fan
     releases_s : how far `releases_until_s` lies ahead
@@ -131,11 +132,12 @@ def carry_on(state: StandingState, limits: Limits | str, now: Moment, heater_w: 
         return replace(state, memory=replace(memory, doses=doses), at=now)
     saved_s, start = now_s - limits.at.elapsed_s(now), limits.reference_start
     unsaved_s = min(now_s - saved_s, HEAT_BUCKET_S)
-    unsaved_heat = (saved_s, heater_w * unsaved_s / HOUR_S)
+    heat = tuple((saved_s - age_s, wh) for age_s, wh in limits.heat)
+    full = SafetyMemory(heat=heat, sent=Command(heater_duty=1.0), time_s=saved_s)
     memory = replace(
         memory,
+        heat=book_heat(full, saved_s + unsaved_s, unsaved_s, heater_w).heat,
         doses=tuple(Dose(saved_s - age_s, *dose) for age_s, *dose in limits.doses),
-        heat=(*((saved_s - age_s, wh) for age_s, wh in limits.heat), unsaved_heat),
         fan_since_s=now_s,  # it went off with the process before, and may have been on unsaved
         fan_switches=(*(saved_s - age_s for age_s in limits.fan_switches), now_s, now_s),
         thermal=ThermalMemory(proof=RelayProof(*(seconds + unsaved_s for seconds in limits.proof))),

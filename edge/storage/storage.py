@@ -339,17 +339,17 @@ class Storage:
         return True
 
     def _note_left_out(self, last_seq: int) -> None:
-        is_final = self._before is None or self._before.is_final
-        if self._archive.ended_cleanly and is_final:
-            key, reason = (
-                "history.numbers_left_out",
-                "the history was unreadable at the start, or has lost ticks",
-            )
-        else:
-            key, reason = "history.unclean_stop", "the session before did not end cleanly"
+        before, severity = self._before, Severity.WARNING
+        key, reason = "history.unclean_stop", "the session before did not end cleanly"
+        if before is not None and not before.is_final and before.first_seq > self._archive.session_first_seq:
+            severity, begun = Severity.ALARM, f"the session that began with tick {before.first_seq}"
+            reason = f"the history has nothing of {begun}: its log is damaged, or the disk was full"
+        elif self._archive.ended_cleanly and (before is None or before.is_final):
+            key = "history.numbers_left_out"
+            reason = "the history was unreadable at the start, or has lost ticks"
         self._gaps.append(NumberGap(last_seq + 1, self._next_seq - 1, reason))
-        text = f"{reason}: tick {last_seq} is the last one written; the numbers go on at {self._next_seq}"
-        self._tell(key, Severity.WARNING, text)
+        text = f"{reason}; tick {last_seq} is the last one in the history, the next is {self._next_seq}"
+        self._tell(key, severity, text)
 
     def _note_lost(self, first: int, last: int, reason: str) -> None:
         self._gaps.append(NumberGap(first, last, reason))

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from history_records import START_UTC, HandClock, History, tick
 
+from edge.core.messages import Severity
 from edge.storage import Session, Storage
 from edge.storage import storage as storage_module
 from edge.storage.numbers import NumbersFile, Reservation
@@ -201,7 +202,14 @@ def test_a_damaged_log_gives_no_number_twice(path: Path, sessions_before: int, p
         log.write(os.urandom(64))
     daemon = NumberingDaemon(path, "boot", now_s=60.0 * last_given)
     assert daemon.first > last_given
-    assert "history.unclean_stop" in daemon.events()
+    (event,) = (event for event in daemon.storage.events_pending() if event.key == "history.unclean_stop")
+    first = last_given - 7
+    if place == 0 or (place, sessions_before) == (5000, 0):  # eight ticks had been written, all in the log
+        assert event.severity is Severity.ALARM
+        assert f"nothing of the session that began with tick {first}: its log is damaged" in event.text
+        assert f"tick {first - 1} is the last one in the history, the next is {daemon.first}" in event.text
+    else:
+        assert event.severity is Severity.WARNING
     daemon.tick()
     daemon.end()
     accounted(path)

@@ -204,7 +204,7 @@ def test_after_an_unclean_end_numbers_that_may_have_been_given_out_are_left_out(
         assert first == 4 + 10 + storage_module.BATCH_TICKS
         (event,) = storage.events_pending()
         assert event.key == "history.unclean_stop"
-        assert "tick 3 is the last one written" in event.text
+        assert "tick 3 is the last one in the history" in event.text
     assert rows(path, "SELECT first_seq, last_seq FROM gaps") == [(4, first - 1)]
 
 
