@@ -71,7 +71,8 @@ class Outbox:
             rows = connection.execute(_PENDING, (0, limit)).fetchall()
             rows += connection.execute(_PENDING, (1, limit - len(rows))).fetchall()
             ticks = read_ticks(connection, {seq for _, seq, _, _ in rows})
-            gone = [id_ for id_, seq, event, _ in rows if seq not in ticks or not _has(ticks[seq], event)]
+            known = {(seq, n) for seq, tick in ticks.items() for n in (None, *range(len(tick.events)))}
+            gone = [id_ for id_, seq, event, _ in rows if (seq, event) not in known]
             if not gone:
                 return [self._message(id_, ticks[seq], event, resent) for id_, seq, event, resent in rows]
             self._give_up(connection, gone)
@@ -139,7 +140,3 @@ class Outbox:
             topic, body = "event", {"number": event, **event_json(tick.events[event])}
         payload = json.dumps({**head, **body}, separators=(",", ":"), ensure_ascii=False)
         return OutboxMessage(id_, f"{self._root}/history/{topic}", payload)
-
-
-def _has(tick: TickRecord, event: int | None) -> bool:
-    return event is None or event < len(tick.events)

@@ -23,25 +23,17 @@ def to_dict(operation: Operation) -> dict[str, Any]:
         **asdict(operation),
         "mode": operation.mode.value,
         "fan_mode": operation.fan_mode.value,
-        "manual": _manual_dict(operation.manual),
+        # A person's fan is on or off, and earlier software knows no share.
+        "manual": {key: value for key, value in asdict(operation.manual).items() if key != "fan_share"},
     }
     profile, points, calibrations = (values.pop(key) for key in ("profile", "points", "calibrations"))
     del values["reference_start"]  # monotonic, see `edge.state.codecs.Limits`
     if profile is not None:
-        values["profile"] = _under_keys(StandingProfile, profile)
+        keys = {item.name: item.metadata.get("key", item.name) for item in fields(StandingProfile)}
+        values["profile"] = {keys[name]: value for name, value in profile.items()}
     return values | {
         key: list(items) for key, items in (("points", points), ("calibrations", calibrations)) if items
     }
-
-
-def _under_keys(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values under a document's keys, which may differ from the names of fields."""
-    return {item.metadata.get("key", item.name): values[item.name] for item in fields(kind)}
-
-
-def _manual_dict(manual: Command) -> dict[str, Any]:
-    """Return it without a share: a person's fan is on or off, and earlier software knows no share."""
-    return {key: value for key, value in asdict(manual).items() if key != "fan_share"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,15 @@ from history_records import tick
 
 from edge.config.loading import default
 from edge.config.settings import Settings
+from edge.core.clock import RealClock
 from edge.core.errors import DataError
 from edge.forecasts.skill import ErrorPair, SkillState
 from edge.formats.atomic_file import read_document as read
 from edge.formats.atomic_file import write_document as write
-from edge.state.store import SKILL, StoredValue, restore
-from edge.state.writer import ANSWERS_MAX, SAVE_S, HourlySink, StateWriter
+from edge.safety.memory import SafetyMemory
+from edge.state.store import LIMITS, SKILL, STANDING, StoredValue, restore
+from edge.state.writer import ANSWERS_MAX, SAVE_S, HourlySink, StandingSink, StateWriter
+from edge.tick.orders import Operation
 
 
 def writer_at(path: Path, pause_s: float = 0.0, encode: Callable[[Any], Any] = dict) -> StateWriter[Any]:
@@ -143,6 +146,17 @@ def test_a_card_is_spared_and_the_newest_is_written_at_the_end(tmp_path, monkeyp
     writer.close()
     assert len(written) == 2
     assert written[-1] == 49
+
+
+def test_limits_that_cannot_be_written_hold_up_no_order(tmp_path: Path) -> None:
+    (tmp_path / "limits.json").mkdir()
+    place, answers = settings(tmp_path), queue.SimpleQueue()
+    sink = StandingSink(StateWriter(STANDING, place, LIMITS), RealClock())
+    sink.save(Operation("MPC", emergency_stop=True), SafetyMemory(), answers.put)
+    assert "limits.json" in answers.get(timeout=5.0)
+    assert "limits.json" in sink.faults()["state.unwritten"]
+    sink.writer.close()
+    assert restore(STANDING, place).operation.emergency_stop
 
 
 def test_a_bug_of_a_codec_is_answered_and_the_next_value_is_written(tmp_path: Path) -> None:
