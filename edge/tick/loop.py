@@ -76,7 +76,7 @@ SINK_FAULTS = (
     "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused",
     "output.behind", "telemetry.flooded",
 )  # fmt: skip
-Booking = tuple[Dose, list[str]]  # a dose that goes to the disk before it is given, and the disk's answers
+Booking = tuple[Dose, list[str]]  # a dose that goes to the disk before it is given, and the disk's answer
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick
 
 
@@ -146,7 +146,6 @@ class Loop:
         """One step of control: the arrow."""
         rig, utc = self._rig, self._rig.clock.utc()
         self._follow_clock()
-        booking = self._take_booking()
         if exchanged := rig.models.exchange(rig.estimator, rig.controllers):
             self._tell("models.exchanged", Severity.INFO, exchanged, now)
         readings = rig.sensors.readings(rig.board.take_samples(), now, self._sent)
@@ -156,6 +155,7 @@ class Loop:
         self._follow_profile(now, utc)
         context = self._context(estimate, now, utc)
         decision, decide_ms = self._decider.decide(self._operation.controller, context)
+        booking = self._take_booking()  # nothing is saved without it before this tick's own dose is in
         wanted, orders = self._apply_orders(
             self._with_light_and_water(decision.command, readings, now, utc), utc
         )
@@ -279,11 +279,13 @@ class Loop:
     def _book(self, verdict: SafetyVerdict, booking: Booking | None) -> SafetyVerdict:
         """Hold a pulse back until its dose is on the disk: no kills can give more than the dose of a day."""
         pulse_s = verdict.sent.valve_pulse_s
-        if pulse_s == 0.0 or (booking and pulse_s <= booking[0].length_s and "" in booking[1]):
+        answers = booking[1] if booking and pulse_s <= booking[0].length_s else ["not booked"]
+        if pulse_s == 0.0 or answers == [""]:
             return verdict
-        answers: list[str] = []
+        if answers:  # a failure; else the disk has not answered yet
+            answers = []
+            self._rig.save_state(self._operation, self._memory, answers.append)
         self._booking = self._memory.doses[-1], answers
-        self._rig.save_state(self._operation, self._memory, answers.append)
         change = Change("valve.unsaved", "valve_pulse", pulse_s, 0.0, "its dose goes to the disk first")
         sent = replace(verdict.sent, valve_pulse_s=0.0)
         return replace(verdict, sent=sent, changes=(*verdict.changes, change))

@@ -16,7 +16,8 @@ from tests.support.virtual_board import on_cores_in_turn
 
 PULSE_STEP_S = 0.1  # the board looks at its valve this often
 HEAT_BEGINS_S = 5.0  # ticks begin 1 s after the start
-SECOND_PULSE_S = 181.0  # the first is at 61 s
+# A new rig waits for the soak time, then for the disk, whose answer is no matter of simulated time.
+FIRST_PULSE_S = 240.0
 
 
 FIRMWARE_TESTS = Path(__file__).parents[1] / "firmware_protocol"
@@ -56,7 +57,7 @@ def test_scenario(tmp_path, name, core, request, monkeypatch):
     )
     check_heat(result, scenario)
     check_history(result, scenario)
-    check_valve(result, pulses_min=1 if scenario.end_s < SECOND_PULSE_S else 2)
+    check_valve(result, pulses_min=0 if scenario.end_s < FIRST_PULSE_S else 1)
     assert sum(not reply["ok"] for reply in result.replies) == scenario.orders_refused
     assert not result.truth["pins"]["heater_relay"], "the daemon has ended with the heater on"
 
@@ -93,4 +94,5 @@ def check_valve(result: ScenarioRun, pulses_min: int) -> None:
     """No pulse twice; one that the line or a reset took away may be missing."""
     pulses = sum(record.sent.valve_pulse_s > 0.0 for record in result.records)
     assert pulses >= pulses_min
-    assert 0.0 < result.water_given_s() <= result.water_ordered_s() + PULSE_STEP_S * pulses
+    assert result.water_given_s() <= result.water_ordered_s() + PULSE_STEP_S * pulses
+    assert result.water_given_s() > 0.0 or pulses_min == 0
