@@ -40,11 +40,17 @@ install_program() {
     run ln -sfn /opt/greenhouse/venv/bin/greenhouse "$root/usr/local/bin/greenhouse"
 }
 
+name_rig() { # by its machine: two rigs of one name evict each other from a broker
+    name=$("$opt/venv/bin/python" -P -c 'from edge.app.setup import rig_name; from edge.config.loading import load; print(rig_name(load("/etc/greenhouse/edge.yaml")))')
+    run sed -i "s/^  rig: [^ ]*/  rig: \"$name\"/" "$etc/edge.yaml"
+}
+
 install_config() {
     if [ -e "$etc/edge.yaml" ]; then
         echo "  $etc/edge.yaml is kept"
     else
         run install -D -m 0640 "$source/deploy/edge.example.yaml" "$etc/edge.yaml"
+        [ -n "$dry_run$root" ] || name_rig
     fi
     # Where the user does not exist, because this system is only being prepared, root has the folders.
     if [ -n "$dry_run" ]; then

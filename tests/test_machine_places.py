@@ -26,6 +26,7 @@ ELSEWHERE = {  # nothing of an installation: names in a pattern, of a program or
     "/dev/tty(ACM|USB)\\d+",
     "/dev/ptmx",
     "/dev/pts/",
+    "/etc/machine-id",  # of any machine
     "/etc/systemd/system",  # greenhouse* below it is hidden
     "/opt/greenhouse/venv/bin/python",
     "/usr/sbin:/usr/local/sbin:/sbin",

@@ -63,7 +63,7 @@ fill_system() {
     install -D -m 0644 "$deploy/70-greenhouse.rules" "$root/lib/udev/rules.d/70-greenhouse.rules"
     install -D -m 0644 "$deploy/greenhouse.sysusers" "$root/usr/lib/sysusers.d/greenhouse.conf"
     install -D -m 0644 "$deploy/greenhouse.tmpfiles" "$root/usr/lib/tmpfiles.d/greenhouse.conf"
-    install -D -m 0644 "$here/edge.yaml" "$root/etc/greenhouse/edge.yaml"
+    install -D -m 0644 "$here/edge.yaml" "$root/usr/share/greenhouse/edge.yaml"
     install -D -m 0644 -t "$doc" "$deploy/README.md" "$deploy/edge.example.yaml" "$source/CHANGELOG.md"
     install -D -m 0644 -t "$doc/examples" "$deploy"/mosquitto.*.example "$deploy"/board.*example.yaml
     { cat "$here/copyright" && sed 's/^$/./; s/^/ /' "$source/LICENSE"; } >"$doc/copyright"
@@ -79,7 +79,6 @@ fill_control() {
     # As dpkg-gencontrol counts: a folder is 1 kB, whatever the file system makes of it.
     size=$(find "$root" -printf '%y %s\n' | awk '{n += $1 ~ /[fl]/ ? int(($2 + 1023) / 1024) : 1} END {print n}')
     sed "s/@VERSION@/$version/; s/@ARCH@/$1/; s/@SIZE@/$size/" "$here/control" >"$root/DEBIAN/control"
-    echo /etc/greenhouse/edge.yaml >"$root/DEBIAN/conffiles"
     install -m 0755 "$here/preinst" "$here/postinst" "$here/prerm" "$here/postrm" "$root/DEBIAN/"
     (cd "$root" && find . -path ./DEBIAN -prune -o -path ./etc -prune -o -type f -printf '%P\0' |
         LC_ALL=C sort -z | xargs -0 md5sum >DEBIAN/md5sums)

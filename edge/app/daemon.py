@@ -29,7 +29,7 @@ from edge.bundle.proof import Prover
 from edge.bundle.remote import BundleSource
 from edge.bundle.store import BundleStore
 from edge.config.loading import config_hash
-from edge.config.settings import SensorCalibration, Settings
+from edge.config.settings import MqttSettings, SensorCalibration, Settings
 from edge.controllers.external import External
 from edge.core.clock import Clock, Moment, RealClock, boot_id
 from edge.core.controller import Controller
@@ -119,11 +119,11 @@ class Daemon:
 
     def _wire(self) -> Loop:
         settings, stack = self.settings, self._stack
-        self._lock("history.path", settings.history.path)
-        self._lock("state_file", settings.state_file)
         bundles = self._bundles()
         llm = self.language_model = self._language_model()
         models = ActiveModels(settings, bundles, restore(SKILL, settings), llm)
+        self._lock("history.path", settings.history.path)
+        self._lock("state_file", settings.state_file)
         skill = HourlySink(SKILL, settings, lambda: models.forecasting.state)
         stack.callback(skill.close)
         controllers = models.controllers() | {each.name: each for each in self.more_controllers}
@@ -242,7 +242,11 @@ class Daemon:
                 raise ConfigError(f"{key}: {path}: another daemon uses this file") from None
 
     def _announce(self, loop: Loop, standing: Operation) -> None:
-        """Emit an event for each order that holds on and would not be expected."""
+        """Emit an event for each order that holds on and would not be expected, and for the default name."""
+        mqtt = self.settings.mqtt
+        if mqtt.enabled and mqtt.rig == MqttSettings().rig:
+            text = f"this rig keeps the default name {mqtt.rig}, which no other rig at the broker may have"
+            loop.announce("mqtt.default_name", text)
         if standing.profile is not None and not self.experiment:
             loop.announce("profile.resumed", f"goes on with {standing.profile.in_words()}")
         for each in standing.calibrations:

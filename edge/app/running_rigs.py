@@ -13,7 +13,7 @@ from edge.core.errors import DataError
 from edge.formats.atomic_file import write_atomically
 from edge.formats.reader import read_json
 
-DEMO = "demo"  # name of every demo's rig
+DEMO = "demo"  # name of every demo's rig, for which `greenhouse demo --mqtt` publishes
 
 
 @dataclass(frozen=True, slots=True)

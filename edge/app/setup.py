@@ -5,15 +5,19 @@
 
 import json
 import os
+import re
 import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
+from secrets import token_hex
+from socket import gethostname
 from typing import Annotated, Any, Literal
 
 from edge.config.example import changes
 from edge.config.loading import parse
-from edge.config.settings import Settings
+from edge.config.settings import MqttSettings, Settings
 from edge.core.controller_names import NEED_NO_MODEL, RULES
 from edge.core.errors import DataError, RequestError
 from edge.core.hard_limits import (
@@ -43,6 +47,7 @@ WALL_AREA_M2 = (0.005, 60.0)  # of a box of 0.1 litre, of a small room
 DAY_HOURS = 20.0  # of full heat that the energy cap of a day allows, as for the paper's heater
 STEP_S = 60.0  # that the packaged models are made for
 UNIT_FILE = Path("/etc/systemd/system/greenhouse.service")
+MACHINE_ID = Path("/etc/machine-id")
 SYSTEMD = Path("/run/systemd/system")  # where it runs, sd_booted(3)
 START = "sudo systemctl enable --now greenhouse"
 INSTALL = "sudo sh deploy/install.sh"  # in the checkout
@@ -261,7 +266,20 @@ def settings_of(before: Settings, answers: SetupAnswers, report_period_s: float,
         sensor_health=replace(before.sensor_health, sample_period_s=report_period_s),
         safety=safety,
         box=replace(before.box, twin=str(twin)),
+        mqtt=replace(before.mqtt, rig=rig_name(before)),
     )
+
+
+def rig_name(before: Settings) -> str:
+    """Return the name of a rig; a new one has the host's, with a mark that tells clones of a host apart."""
+    if before.mqtt != MqttSettings() or os.access(before.state_file, os.F_OK):
+        return before.mqtt.rig
+    host = re.sub("[^a-zA-Z0-9_-]+", "-", gethostname().partition(".")[0]).strip("-")[:50] or "rig"
+    try:
+        mark = sha256(f"greenhouse {read_text(MACHINE_ID)}".encode()).hexdigest()
+    except (OSError, ValueError):
+        mark = token_hex(3)
+    return f"{host}-{mark[:6]}"
 
 
 def edge_text(settings: Settings) -> str:

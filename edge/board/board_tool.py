@@ -116,10 +116,7 @@ def give_own_id(session: BoardSession) -> Iterator[str]:
     """Draw an id for a board that has the example's. Errors: RequestError; then the board has the old one"""
     if session.hello.board_id == EXAMPLE_ID and session.hello.capabilities & Capability.CONFIGURABLE:
         session.write_block(encode_block(replace(configuration(session), board_id=_new_id())))
-        yield (
-            f"The board has an id of its own now, {session.hello.board_id}. "
-            "A daemon that has driven it before needs `greenhouse board accept` once."
-        )
+        yield f"The board's id is {session.hello.board_id} now; a daemon that drove it needs `board accept`."
 
 
 def _new_id() -> int:

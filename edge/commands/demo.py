@@ -10,7 +10,6 @@ from edge.app.daemon import Daemon
 from edge.app.demo_folders import make_demo_folder
 from edge.app.display import make_display
 from edge.app.outlet import standard_output
-from edge.app.running_rigs import DEMO
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.commands.arguments import SEED_MAX, number, whole
@@ -19,7 +18,7 @@ from edge.config.settings import MqttSettings, Settings
 from edge.core.controller_names import CONTROLLERS
 from edge.page.child import page_of
 
-RIG = DEMO  # its name over MQTT
+RIG = "demo"  # its name over MQTT
 DEMO_YAML = """
 control: {{controller: {controller}}}
 llm: {{url: "{llm_url}", model: "{llm_model}"}}

@@ -22,6 +22,8 @@ from edge.mqtt.topics import Topics
 
 RECONNECT_MIN_S = 1
 RECONNECT_MAX_S = 60
+TAKEN_OVER = 0x8E  # MQTT 5's reason: another client has connected with the same client id
+TAKEN_OVER_RETRY_S = 60  # two clients that evict each other spare the broker, and each is heard in turn
 LANE_MAX_S = 10  # between two tries, and between two signs of life, of a connection for stops
 CONNECT_TIMEOUT_S = 5.0
 
@@ -83,6 +85,13 @@ def tls_context(settings: MqttSettings) -> ssl.SSLContext:
     return context
 
 
+def is_taken_over(client: Client, code: ReasonCode) -> bool:
+    """Return whether another client has ended the connection by its own; then the next try has time."""
+    if code.value == TAKEN_OVER:
+        client.reconnect_delay_set(TAKEN_OVER_RETRY_S, 10 * TAKEN_OVER_RETRY_S)
+    return bool(code.value == TAKEN_OVER)
+
+
 Hear = Callable[[str, bytes], None]
 
 
@@ -112,6 +121,7 @@ class Lane:
 
     def _on_connect(self, client: Client, _: object, flags: object, code: ReasonCode, more: object) -> None:
         if not code.is_failure:
+            client.reconnect_delay_set(RECONNECT_MIN_S, LANE_MAX_S)
             client.subscribe(self._subscriptions)
 
     def _on_subscribe(
@@ -119,8 +129,9 @@ class Lane:
     ) -> None:
         self.is_open = not any(code.is_failure for code in codes)
 
-    def _on_disconnect(self, *_: Any) -> None:
+    def _on_disconnect(self, client: Client, _: object, flags: object, code: ReasonCode, more: Any) -> None:
         self.is_open = False
+        is_taken_over(client, code)
 
     def _on_message(self, client: Client, _: object, message: MQTTMessage) -> None:
         if not message.retain:  # an old order, from before this connection, must not act

@@ -101,6 +101,12 @@ _ROWS = (
         "messages wait in the outbox on disk and are sent in order when it is back",
     ),
     Failure(
+        "telemetry.name_taken",
+        Severity.ALARM,
+        "another client uses the name of this rig and evicts it from the broker",
+        "it connects again after a minute, the control socket works; give each rig its own mqtt.rig",
+    ),
+    Failure(
         "telemetry.flooded",
         Severity.WARNING,
         "more commands come over MQTT than are carried out",

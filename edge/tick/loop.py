@@ -74,7 +74,7 @@ ORDERS_TOLD = 20  # between two ticks, each with its words; more than a person g
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step is told
 SINK_FAULTS = (
     "history.behind", "history.replaced", "telemetry.offline", "state.unwritten", "bundle.refused",
-    "output.behind", "telemetry.flooded",
+    "output.behind", "telemetry.flooded", "telemetry.name_taken",
 )  # fmt: skip
 Booking = tuple[Dose, list[str]]  # a dose that goes to the disk before it is given, and the disk's answer
 CLOCK_JUMP_S = 2.0  # difference between wall clock and monotonic clock from tick to tick

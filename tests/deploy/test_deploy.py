@@ -11,6 +11,7 @@ import subprocess
 import sys
 import sysconfig
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -335,6 +336,22 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     done = install("--root", str(root))
     assert done.returncode == 0, done.stderr
     yield root
+
+
+@pytest.mark.parametrize("script", ["install.sh", "deb/postinst"])
+def test_a_first_installation_names_the_rig_by_its_machine(tmp_path: Path, script: str) -> None:
+    text = (DEPLOY / script).read_text()
+    (code,) = re.findall("-P -c '(.*)'", text)
+    edge = tmp_path / "edge.yaml"
+    edge.write_text((DEPLOY / {"install.sh": "edge.example.yaml"}.get(script, "deb/edge.yaml")).read_text())
+    program = code.replace("/etc/greenhouse/edge.yaml", str(edge))
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    (change,) = re.findall(r"^ +(?:run )?((?:sed|echo) .*\$name.*)$", text, re.MULTILINE)
+    shell = f"etc={tmp_path}; name={done.stdout.strip()}; {change.replace('/etc/greenhouse', str(tmp_path))}"
+    subprocess.run(["sh", "-c", shell], check=True)
+    name = config.load(edge).mqtt.rig
+    assert name == done.stdout.strip() and re.search("-[0-9a-f]{6}$", name)
+    assert config.load(edge).mqtt == replace(config.default().mqtt, rig=name)
 
 
 def test_install_puts_everything_in_its_place(installed: Path) -> None:

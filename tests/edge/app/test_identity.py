@@ -1,6 +1,7 @@
 """A daemon's identity: the board that it drives, its entry among the running rigs, files that are its own."""
 
 import json
+import re
 import subprocess
 import sys
 from contextlib import closing
@@ -9,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from edge.app import running_rigs
+from edge.app import running_rigs, setup
 from edge.app.daemon import Daemon
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.config import loading
-from edge.config.settings import ControlSocketSettings, Settings
+from edge.config.settings import ControlSocketSettings, MqttSettings, Settings
 from edge.core.clock import RealClock
 from edge.core.errors import ConfigError
 from edge.core.messages import TickRecord
@@ -129,3 +130,47 @@ def test_a_daemon_is_registered_from_its_start_to_its_end(
 
 def refuse(path: Path, text: str) -> None:
     raise PermissionError(13, "Permission denied", str(path))
+
+
+@pytest.mark.parametrize(
+    ("host", "machine", "pattern"),
+    [
+        ("pi", "0123\n", "pi-[0-9a-f]{6}"),
+        ("Gewächshaus 2.lan", "0123\n", "Gew-chshaus-2-[0-9a-f]{6}"),
+        ("", "0123\n", "rig-[0-9a-f]{6}"),
+        ("x" * 64, "", "x{50}-[0-9a-f]{6}"),
+        ("pi", None, "pi-[0-9a-f]{6}"),  # a container
+    ],
+)
+def test_a_new_rig_is_named_by_its_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, host: str, machine: str | None, pattern: str
+) -> None:
+    monkeypatch.setattr(setup, "gethostname", lambda: host)
+    monkeypatch.setattr(setup, "MACHINE_ID", tmp_path / "machine-id")
+    if machine is not None:
+        (tmp_path / "machine-id").write_text(machine)
+    new = settings_of(tmp_path)
+    name = setup.rig_name(new)
+    assert re.fullmatch(pattern, name) and MqttSettings(rig=name)
+    assert (setup.rig_name(new) == name) == (machine is not None)
+    (tmp_path / "machine-id").write_text("a clone of the image")
+    assert setup.rig_name(new) != name
+    named = replace(new, mqtt=replace(new.mqtt, rig="mine"))
+    published = replace(new, mqtt=replace(new.mqtt, enabled=True))
+    assert [setup.rig_name(before) for before in (named, published)] == ["mine", "greenhouse-1"]
+    Path(new.state_file).write_text("{}")  # it has run under its name
+    assert setup.rig_name(new) == "greenhouse-1"
+
+
+@pytest.mark.parametrize(("rig", "told"), [("greenhouse-1", True), ("pi-0123ab", False)])
+def test_a_rig_that_keeps_the_default_name_says_so(tmp_path: Path, rig: str, told: bool) -> None:
+    settings = settings_of(tmp_path)
+    mqtt = replace(settings.mqtt, enabled=True, host="127.0.0.1", port=1, rig=rig)
+    records: list[TickRecord] = []
+    with (
+        virtual_rig(tmp_path, 1) as board,
+        closing(SimClock(board.control)) as clock,
+        Daemon(replace(settings, mqtt=mqtt), clock, records.append, stop_at_s=50.0) as daemon,
+    ):
+        daemon.run()
+    assert ("mqtt.default_name" in keys(records)) == told

@@ -1,22 +1,27 @@
+import contextlib
 import json
 import math
 import os
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
+import threading
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
 
 from edge import models
 from edge.__main__ import main
 from edge.core.errors import ConfigError, RequestError
 from edge.core.messages import Echo, Event, Severity
 from edge.mqtt import connection, telemetry
-from edge.mqtt.telemetry import Telemetry
+from edge.mqtt.telemetry import Telemetry, remove
 from edge.mqtt.topics import Topics
 from edge.sockets.control_socket import ControlSocket
 from edge.twin.twin_file import read_twin_file, write_twin_file
@@ -377,3 +382,46 @@ def test_the_command_refuses_while_the_daemon_runs(tmp_path, capsys):
     with closing(ControlSocket(socket, lambda request: {"ok": True}, lambda *_: None)):
         assert main(["forget-discovery", "--config", str(config)]) == 2
     assert "stop it first" in capsys.readouterr().err
+
+
+@pytest.fixture
+def evicting():
+    """Port of a broker on which another client takes each session over. Mosquitto 2.0.11 gives no reason."""
+    connack, taken_over = bytes((0x20, 3, 0, 0, 0)), bytes((0xE0, 2, 0x8E, 0))
+
+    def serve():
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = server.accept()
+                with connection:
+                    connection.recv(1000)
+                    connection.sendall(connack + taken_over)
+                    while connection.recv(1000):  # a reset would take the reason away
+                        pass
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=serve, daemon=True).start()
+        yield server.getsockname()[1]
+        server.shutdown(socket.SHUT_RDWR)
+
+
+def test_a_rig_whose_name_another_one_uses_says_so_and_tries_slowly(evicting):
+    slow = connection.TAKEN_OVER_RETRY_S
+    with running(evicting) as own:
+        clients = [own._client, *(lane._client for lane in own._lanes)]
+        wait_for(lambda: [client._reconnect_min_delay for client in clients] == [slow] * 3)
+        assert slow >= 60
+        # Not offline besides, which would come and go with every try.
+        assert own.faults() == {"telemetry.name_taken": "the name is rig-1"}
+        own._on_connect(own._client, None, None, ReasonCode(PacketTypes.CONNACK, "Success"), None)
+        own._on_disconnect(own._client, None, None, ReasonCode(PacketTypes.DISCONNECT, "Server busy"), None)
+        assert own._client._reconnect_min_delay == connection.RECONNECT_MIN_S  # an ordinary loss
+        assert "telemetry.name_taken" in own.faults()
+        own._taken_over_s = float("-inf")  # long ago
+        assert own.faults() == {"telemetry.offline": "disconnected: Server busy"}
+
+
+def test_forgetting_a_rig_evicts_no_daemon(broker):
+    with online(broker.port) as own:
+        remove(settings(broker.port))
+        assert not own.faults()
