@@ -82,13 +82,7 @@ def number(values: Mapping[str, Any], key: str, otherwise: float | None = None) 
         found = float("nan") if isinstance(value, bool) or value is None else float(value)
     except (TypeError, ValueError):
         found = float("nan")
-    if not abs(found) < 1e12:
-        raise RequestError(f"{key}: a number is needed")
+    low, high = (0.0, UTC_MAX) if key.endswith("_utc") else (-1e12, 1e12)
+    if not low <= found <= high:
+        raise RequestError(f"{key}: a number from {low:g} to {high:g} is needed")
     return found
-
-
-def moment(values: Mapping[str, Any], key: str) -> float:
-    """Return a time of a request that a calendar has [s since 1970]. Errors: RequestError"""
-    if not 0.0 <= (utc := number(values, key)) <= UTC_MAX:
-        raise RequestError(f"{key}: a time in seconds since 1970, UTC, is needed")
-    return utc

@@ -73,7 +73,7 @@ def make_app(settings: Settings, file: str = "") -> Guard:
         yield
         for task in tasks:
             task.cancel()
-        page.streams.end(*page.streams.open)
+        page.streams.end(*page.streams)
 
     routes = [
         *(

@@ -3,8 +3,6 @@
 from starlette.requests import Request
 from starlette.responses import Response
 
-from edge.page.guard import is_https
-
 COOKIE = "greenhouse_session"
 COOKIE_S = 365 * 86_400  # the session ends before, on this side
 
@@ -17,7 +15,7 @@ def secret_of(request: Request) -> str:
 
 def set_cookie(request: Request, response: Response, secret: str) -> None:
     """Have the browser keep the secret."""
-    secure = is_https(request.url.scheme, request.headers)
+    secure = request.url.scheme == "https" or request.headers.get("x-forwarded-proto") == "https"
     response.set_cookie(COOKIE, secret, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure)
 
 

@@ -14,7 +14,7 @@ from starlette.types import Message, Receive, Scope, Send
 from edge.core.errors import DataError, RequestError
 from edge.page import history
 from edge.page.access import Visitor
-from edge.page.answers import NotAllowed, in_thread, moment
+from edge.page.answers import NotAllowed, in_thread, number
 from edge.page.page_state import Page
 from edge.storage.run_rows import run_text
 
@@ -25,7 +25,7 @@ WHOLE_MAX_S = 900.0  # for all of it: a year of minutes, 30 MB, by 270 kbit/s
 async def export(page: Page, request: Request, visitor: Visitor) -> Response:
     """Return the rig's ticks between two times as a run file, as `greenhouse export` writes it."""
     given = request.query_params
-    first_utc, last_utc = moment(given, "from_utc"), moment(given, "to_utc")
+    first_utc, last_utc = number(given, "from_utc"), number(given, "to_utc")
     if not first_utc < last_utc:
         raise RequestError("from_utc has to be before to_utc")
     if page.is_exporting:
@@ -35,11 +35,10 @@ async def export(page: Page, request: Request, visitor: Visitor) -> Response:
         pieces = run_text(page.history, first_utc, last_utc, partial(history.reading, page.history))
         head = await in_thread(next, pieces)  # all that can be wrong with the stretch is found here
         return _RunFile(page, chain([head], pieces), first_utc)
-    except DataError as error:
+    except BaseException as error:
         page.is_exporting = False
-        raise NotAllowed(HTTPStatus.NOT_FOUND, str(error)) from None
-    except BaseException:
-        page.is_exporting = False
+        if isinstance(error, DataError):
+            raise NotAllowed(HTTPStatus.NOT_FOUND, str(error)) from None
         raise
 
 

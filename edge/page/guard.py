@@ -58,7 +58,8 @@ class Guard:
             await self.app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        sending = _with_headers(send, scope["path"], is_https(scope["scheme"], headers))
+        secure = "https" in (scope["scheme"], headers.get("x-forwarded-proto"))  # here, or at a proxy
+        sending = _with_headers(send, scope["path"], secure)
         refused = self._refusal(scope["method"], scope["scheme"], headers)
         if refused is not None:
             status, reason = refused
@@ -149,11 +150,6 @@ def _receive_again(body: bytes, receive: Receive) -> Receive:
         return await receive()
 
     return give
-
-
-def is_https(scheme: str, headers: Headers) -> bool:
-    """Return whether the browser came by https, to this page or to a proxy before it."""
-    return scheme == "https" or headers.get("x-forwarded-proto") == "https"
 
 
 def _with_headers(send: Send, path: str, secure: bool) -> Send:

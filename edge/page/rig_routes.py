@@ -12,7 +12,7 @@ from edge.core.errors import RequestError
 from edge.core.messages import Severity
 from edge.page import history
 from edge.page.access import Visitor
-from edge.page.answers import NotAllowed, answer, document, in_thread, moment, number, passed_on
+from edge.page.answers import NotAllowed, answer, document, in_thread, number, passed_on
 from edge.page.orders import NEEDS, problem
 from edge.page.page_state import Page
 from edge.page.questions import options
@@ -60,7 +60,7 @@ async def _views(page: Page, begun: Stream) -> AsyncIterator[str]:
 async def course(page: Page, request: Request, visitor: Visitor) -> Response:
     """Return columns of the history between two times."""
     given = request.query_params
-    first_utc, last_utc = moment(given, "from_utc"), moment(given, "to_utc")
+    first_utc, last_utc = number(given, "from_utc"), number(given, "to_utc")
     points = int(number(given, "points", 600))
     read = page.courses.between
     return answer(
@@ -75,7 +75,7 @@ async def span(page: Page, request: Request, visitor: Visitor) -> Response:
 
 async def why(page: Page, request: Request, visitor: Visitor) -> Response:
     """Return the reasons of the command that held at a time."""
-    found = await page.rig.ask({"do": "why", "at_utc": moment(request.query_params, "at_utc")})
+    found = await page.rig.ask({"do": "why", "at_utc": number(request.query_params, "at_utc")})
     return passed_on(found)
 
 
@@ -91,7 +91,7 @@ async def events(page: Page, request: Request, visitor: Visitor) -> Response:
     least = given.get("least", kinds[0])
     if least not in kinds:
         raise RequestError(f"least: one of {', '.join(kinds)}")
-    before_utc = moment(given, "before_utc") if "before_utc" in given else None
+    before_utc = number(given, "before_utc") if "before_utc" in given else None
     most = int(number(given, "most", 50))
     found = await in_thread(history.events, page.history, before_utc, kinds[kinds.index(least) :], most)
     first_seq = min((event["seq"] for event in found), default=0)

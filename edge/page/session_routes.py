@@ -92,7 +92,7 @@ async def revoke(page: Page, request: Request, visitor: Visitor) -> Response:
     if role > Role.VIEW and visitor.role < Role.ADMIN:
         raise NotAllowed(HTTPStatus.FORBIDDEN, f"to end the role {role.word} needs the role admin")
     ended = await in_thread(page.access.revoke, kind, given)
-    page.streams.end(*(each for each in page.streams.open if each.session in ended))
+    page.streams.end(*(each for each in page.streams if each.session in ended))
     return answer(ok=True)
 
 

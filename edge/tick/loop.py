@@ -45,7 +45,7 @@ from edge.tick.decider import Decider
 from edge.tick.faults import Conditions
 from edge.tick.inbox import ORDINARY, Letter, Reply, Request
 from edge.tick.light_and_water import led_level, watering_pulse
-from edge.tick.order_words import nothing_changed, order_words
+from edge.tick.order_words import order_words
 from edge.tick.orders import (
     UTC_MAX,
     Desk,
@@ -481,10 +481,9 @@ class Loop:
                 raise RequestError(RELEASED_TOO_OFTEN)
             self._memory = replace(self._memory, releases_until_s=until_s)
         self._operation = after
-        warning, utc = self._order_board(request), clock.utc()
-        changed, message = order_words(request["do"], before, after, utc)
-        holds = {"emergency_stop": after.emergency_stop, "maintenance": after.in_maintenance(utc)}
-        if not changed and of_board == ENDED_BY.get(request["do"]) and not holds[of_board]:
+        warning = self._order_board(request)
+        changed, message = order_words(request["do"], before, after, clock.utc())
+        if not changed and of_board == ENDED_BY.get(request["do"]) and not request.get("minutes"):
             changed, message = True, f"The board's own {of_board.replace('_', ' ')} is over."
         said = self._answer_keys(changed, message, warning, request)
         self._follow_calibration(before)
@@ -577,7 +576,7 @@ class Loop:
         if left in causes:
             changed, message = bool(trips), f"The board holds its trip, {left}, as long as its cause lasts."
         elif not causes:
-            message = nothing_changed("No trip is latched.")
+            message = "Nothing changed: no trip is latched."
         return self._answer_keys(changed, message, warning, request)
 
     def _act_now(self) -> None:

@@ -1,6 +1,7 @@
 """Sentences about standing orders: what one of them changed, or what holds already."""
 
 from collections.abc import Callable
+from operator import attrgetter
 
 from edge.core.plain_text import plain
 from edge.tick.calibration import amount
@@ -13,21 +14,13 @@ Words = Callable[[Operation, Operation, float], str]
 def order_words(kind: str, before: Operation, after: Operation, utc: float) -> tuple[bool, str]:
     """Return whether an order of this kind changed anything, and what holds at `utc` since then."""
     before, after = before.at(utc), after.at(utc)
-    found = [
-        words
-        for words, names in _TOPICS.items()
-        if any(getattr(before, name) != getattr(after, name) for name in names)
-    ]
-    topics = found or [_TOPIC_OF.get(kind, _set_point)]
+    topics = [words for words, parts in _TOPICS.items() if parts(before) != parts(after)]
+    topics = topics or [_TOPIC_OF.get(kind, _set_point)]
     if _set_point in topics and _mode not in topics and after.mode not in (Mode.AUTO, Mode.HEAT):
         topics.append(_mode)
     text = " ".join(filter(None, (words(before, after, utc) for words in (*topics, _still_off))))
-    return before != after, text if before != after else nothing_changed(text)
-
-
-def nothing_changed(text: str) -> str:
-    """Return the message of an order that changed nothing, because `text` holds already."""
-    return f"Nothing changed: {text[0].lower()}{text[1:]}"
+    changed = before != after
+    return changed, text if changed else f"Nothing changed: {text[0].lower()}{text[1:]}"
 
 
 def _still_off(before: Operation, after: Operation, utc: float) -> str:
@@ -36,10 +29,8 @@ def _still_off(before: Operation, after: Operation, utc: float) -> str:
     if before.emergency_stop and after.emergency_stop:
         said.append("The emergency stop holds everything off until it is released.")
     if until is not None and until == before.maintenance_until_utc:
-        said.append(
-            f"Maintenance holds everything off for another {duration(until - utc)}; "
-            "`greenhouse maintenance 0` ends it."
-        )
+        left = f"Maintenance holds everything off for another {duration(until - utc)}"
+        said.append(f"{left}; `greenhouse maintenance 0` ends it.")
     return " ".join(said)
 
 
@@ -50,11 +41,10 @@ def _stop(before: Operation, after: Operation, utc: float) -> str:
 
 
 def _maintenance(before: Operation, after: Operation, utc: float) -> str:
-    until = after.maintenance_until_utc
+    was, until = before.maintenance_until_utc, after.maintenance_until_utc
     if until is None:
-        return "There is no maintenance." if before.maintenance_until_utc is None else "Maintenance is over."
-    is_same = until == before.maintenance_until_utc
-    return "" if is_same else f"Maintenance: everything is off for {duration(until - utc)}."
+        return "There is no maintenance." if was is None else "Maintenance is over."
+    return "" if until == was else f"Maintenance: everything is off for {duration(until - utc)}."
 
 
 def _mode(before: Operation, after: Operation, utc: float) -> str:
@@ -75,46 +65,39 @@ def _mode(before: Operation, after: Operation, utc: float) -> str:
 def _set_point(before: Operation, after: Operation, utc: float) -> str:
     profile, by_hand_c, steering = after.profile, after.reference_c, after.steering
     is_off = after.emergency_stop or after.maintenance_until_utc is not None
-    holds = not is_off and after.mode in (Mode.AUTO, Mode.HEAT)
-    said = ["What was confirmed in words is undone."] if before.steering and not steering else []
-    if steering is not None and (by_hand_c is None or steering != before.steering):
-        said = [f"As confirmed in words: {steering.words}."]
-    if by_hand_c is None and not (steering and steering.daily):
-        verb, source = "Holding", "the configured set point"
-        if profile is not None:
-            verb, source = "Following", f"the profile {profile.in_words()}"
-        return " ".join([f"{verb if holds else 'Set to'} {source}.", *said])
+    verb = "Set to" if is_off or after.mode not in (Mode.AUTO, Mode.HEAT) else "Holding"
+    said = []
     if by_hand_c is not None:
-        degrees = max(f"{by_hand_c:.1f}", f"{by_hand_c:g}", key=len)
-        said.insert(0, f"{'Holding' if holds else 'Set to'} {degrees} °C by hand.")
-    if profile is not None:
+        said.append(f"{verb} {max(f'{by_hand_c:.1f}', f'{by_hand_c:g}', key=len)} °C by hand.")
+    elif not (steering and steering.daily):
+        followed = profile and f"{verb.replace('Holding', 'Following')} the profile {profile.in_words()}."
+        said.append(followed or f"{verb} the configured set point.")
+        profile = None
+    if steering is not None and (by_hand_c is None or steering != before.steering):
+        said.append(f"As confirmed in words: {steering.words}.")
+    elif steering is None and before.steering is not None:
+        said.append("What was confirmed in words is undone.")
+    if profile is not None:  # it is not followed now
         state = "is paused" if profile.is_paused else "runs on meanwhile"
         said.append(f'The profile "{plain(profile.name, NAME_MAX)}" {state}.')
     return " ".join(said)
 
 
 def _calibration(before: Operation, after: Operation, utc: float) -> str:
-    for point in set(after.points) - set(before.points):
-        true, raw = (amount(point.signal, value) for value in (point.true_value, point.raw))
-        return f"A point of {point.signal} was taken: {true} is true, the raw readings are {raw} on average."
-    for each in set(after.calibrations) - set(before.calibrations):
-        return f"{each.signal} is calibrated by its points."
-    for each in set(before.calibrations) - set(after.calibrations):
-        return f"{each.signal} is calibrated as configured."
-    signals = {each.signal for each in before.points} - {each.signal for each in after.points}
-    return " ".join(f"The points of {signal} are discarded." for signal in signals)
+    points = ", ".join(f"{each.signal} {amount(each.signal, each.true_value)}" for each in after.points)
+    own = ", ".join(each.signal for each in after.calibrations)
+    return f"Calibrated by hand: {own or 'no sensor'}. Points to apply: {points or 'none'}."
 
 
-_TOPICS: dict[Words, tuple[str, ...]] = {
-    _stop: ("emergency_stop",),
-    _maintenance: ("maintenance_until_utc",),
-    _mode: ("mode", "manual", "fan_mode", "controller"),
-    _set_point: ("reference_c", "profile", "steering"),
-    _calibration: ("points", "calibrations"),
+_TOPICS: dict[Words, Callable[[Operation], object]] = {  # with the orders that they are about
+    _stop: attrgetter("emergency_stop"),
+    _maintenance: attrgetter("maintenance_until_utc"),
+    _mode: attrgetter("mode", "manual", "fan_mode", "controller"),
+    _set_point: attrgetter("reference_c", "profile", "steering"),
+    _calibration: attrgetter("points", "calibrations"),
 }
-_TOPIC_OF = {  # kind of an order -> what it is about; the others are about the set point
-    "emergency_stop": _stop,
-    "release_emergency_stop": _stop,
-    "maintenance": _maintenance,
+_TOPIC_OF = {  # by kind of an order; the others are about the set point
+    **dict.fromkeys(("emergency_stop", "release_emergency_stop"), _stop),
     **dict.fromkeys(("set_mode", "set_fan_mode", "set_controller", "set_manual"), _mode),
+    "maintenance": _maintenance,
 }

@@ -8,11 +8,12 @@ from contextlib import closing, suppress
 from http import HTTPStatus
 from urllib.parse import SplitResult, quote, urlsplit
 
-from edge.config.alarm_settings import HttpTarget, url_problem
+from edge.config.alarm_settings import HttpTarget
 from edge.config.secrets import read_secret
 from edge.core.errors import ConfigError, GreenhouseError
 from edge.core.plain_text import plain
 from edge.core.version import __version__
+from edge.formats.address import url_problem
 
 WAIT_MAX_S = 10.0  # for a connection, and for each part of an answer
 PATH_SAFE = "/%:=&?~+!$,;'@()*[]"  # of a URL's path and query, as they may stand in a request
@@ -113,15 +114,10 @@ def secret(name: str, setting: str) -> str:
 def url_of(target: HttpTarget, setting: str) -> SplitResult:
     """Return the address of a target. Errors: SendError, which does not quote it"""
     url = (target.url or secret(target.url_file, f"{setting}.url_file")).strip()
-    try:
-        parts = urlsplit(url)
-        is_right = bool(parts.hostname) and parts.port != 0 and not url_problem(url)
-    except ValueError:  # a port that is no number, a bracket that is not closed
-        is_right = False
-    if not is_right:
+    if url_problem(url):
         key = f"{setting}.url" if target.url else f"{setting}.url_file"
         raise SendError(f"{key}: is not an address such as https://host/path", lasting=True)
-    return parts
+    return urlsplit(url)
 
 
 def ask(

@@ -31,7 +31,7 @@ def test_a_point_shows_what_it_would_change_before_it_is_applied(
     assert code == 1
     assert "too far from the reading of 21.00 °C" in lines[0]
     code, lines = said(capsys, "point", "temp_ambient", "20.25")
-    assert (code, lines[0].partition(":")[0]) == (0, "A point of temp_ambient was taken")
+    assert (code, lines[0].partition("no ")[2]) == (0, "sensor. Points to apply: temp_ambient 20.25 °C.")
     assert lines[1] == "temp_ambient  reads 21.00 °C, 1 * reading + 0.00 °C, as configured"
     assert lines[2].endswith("20.25 °C is true, raw 21.00 °C, noise 0.00 °C")
     assert lines[3] == (

@@ -280,7 +280,7 @@ def test_a_sensor_is_calibrated_step_by_step_and_back(rig) -> None:
         driver.execute_script(COUNT_WHAT_WAITS)
         tap(driver, "Apply")
         wait_for(lambda: state()["since_utc"] is not None)
-        said = ("soil_moisture is calibrated by its points. Ordered by Ann (page).",)
+        said = ("Calibrated by hand: soil_moisture. Points to apply: none. Ordered by Ann (page).",)
         wait_for(lambda: said in daemon.rows("SELECT text FROM events WHERE key = 'operator.order'"))
         # A daemon that is killed before it answers leaves the page a time-out to complain of.
         wait_for(lambda: driver.execute_script("return window.waiting") == 0)

@@ -419,7 +419,7 @@ def test_events_say_who_calibrated_what_and_from_when_on(rig: LoopRig) -> None:
         "the sensor read 22.00 °C and reads 21.50 °C"
     )
     assert "the mean of raw readings was 22.00 °C, their noise 0.00 °C" in told["calibration.point"]
-    assert "temp_air is calibrated by its points. Ordered by Ann (page)." in texts
+    assert "Calibrated by hand: temp_air. Points to apply: none. Ordered by Ann (page)." in texts
     rig.ask({"do": "reset_calibration", "signal": "temp_air"})
     assert rig.tick().readings["temp_air"].value == 22.0
 

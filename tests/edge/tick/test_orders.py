@@ -298,15 +298,10 @@ CHANGED = [  # order, before, after, message
         AUTO,
         "Holding the configured set point. What was confirmed in words is undone.",
     ),
-    (
-        "calibrate_point",
-        AUTO,
-        MEASURED,
-        "A point of co2 was taken: 425 ppm is true, the raw readings are 410 ppm on average.",
-    ),
-    ("discard_points", MEASURED, AUTO, "The points of co2 are discarded."),
-    ("apply_calibration", MEASURED, CALIBRATED, "co2 is calibrated by its points."),
-    ("reset_calibration", CALIBRATED, AUTO, "co2 is calibrated as configured."),
+    ("calibrate_point", AUTO, MEASURED, "Calibrated by hand: no sensor. Points to apply: co2 425 ppm."),
+    ("discard_points", MEASURED, AUTO, "Calibrated by hand: no sensor. Points to apply: none."),
+    ("apply_calibration", MEASURED, CALIBRATED, "Calibrated by hand: co2. Points to apply: none."),
+    ("reset_calibration", CALIBRATED, AUTO, "Calibrated by hand: no sensor. Points to apply: none."),
 ]
 UNCHANGED = [  # order, what holds, before and after, message
     ("emergency_stop", STOPPED, STOP_HOLDS),
