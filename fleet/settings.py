@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from edge.config.loading import all_problems
-from edge.config.settings import URL, MqttSettings
+from edge.config.settings import MqttSettings
+from edge.formats.address import host_problem, url_problem
 from edge.formats.cross_check import Section, items, number, text, whole
 from edge.formats.reader import read_yaml
 
@@ -28,7 +29,7 @@ class NumbersSettings(Section):
     url: str = text(
         "http://127.0.0.1:8428",
         "VictoriaMetrics: one node, and no proxy between",
-        pattern=URL,
+        form=url_problem,
     )
     retention_days: float = number(
         3650.0,
@@ -55,10 +56,12 @@ class IngestSettings(Section):
 class FleetPageSettings(Section):
     """The fleet's page and API: `greenhouse fleet serve`."""
 
-    host: str = text("127.0.0.1", "address to listen at; caddy asks here")
+    host: str = text("127.0.0.1", "address to listen at; caddy asks here", form=host_problem)
     port: int = whole(8432, "TCP port", 1, 65535)
     names: tuple[str, ...] = items(
-        "names by which browsers reach it; its address and this machine's name do", "fleet.example.org"
+        "names by which browsers reach it; its address and this machine's name do",
+        "fleet.example.org",
+        host_problem,
     )
     alert_token_file: str = text(
         "", "file of the word by which vmalert shows who it is; empty: no alarm is taken"
@@ -79,7 +82,9 @@ class AlarmRuleSettings(Section):
 class RolloutSettings(Section):
     """Bundles in waves. Rigs need `bundle.source` of their own settings to be `address`."""
 
-    address: str = text("", "where rigs fetch bundles: /bundles of `greenhouse fleet serve`", pattern=URL)
+    address: str = text(
+        "", "where rigs fetch bundles: /bundles of `greenhouse fleet serve`", form=url_problem
+    )
     trusted_keys: str = text("/etc/greenhouse/keys", "folder of public keys (*.pub) whose bundles may spread")
     margin: float = number(0.1, "share of the control cost by which a bundle may be dearer", "1", 0.0, 0.25)
     error: float = number(

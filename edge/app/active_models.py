@@ -11,7 +11,7 @@ from edge.bundle.store import LoadedBundle
 from edge.bundle.trial import rival_rows
 from edge.config.settings import ControlSettings, Settings
 from edge.core.controller import Controller
-from edge.core.controller_names import AUTO, EXTERNAL, MPC, MPC_TWIN, NEED_A_MODEL, NEED_NO_MODEL
+from edge.core.controller_names import AUTO, EXTERNAL, MPC, MPC_TWIN, NEED_A_MODEL, NEED_NO_MODEL, RL
 from edge.core.errors import ConfigError
 from edge.core.messages import Command, Decision
 from edge.core.predictor import Columns, Predictor
@@ -101,6 +101,7 @@ class ActiveModels:
             self._control, self.model, self.linear, predictors, policies=policies, llm=self._llm
         )
         without = NEED_A_MODEL if isinstance(self.model, Persistence) else ()
+        without = (*without, *(name for name in RL if name not in policies))
         if self.twin is None:
             without = (*without, *MPC_TWIN)
         return {name: registry.make(name, parts) for name in self._names if name not in without}
@@ -124,7 +125,10 @@ class ActiveModels:
         if self.model != before:
             estimator.set_model(self.model)
         if _bundle(self._serving) is not active_before:  # a new shadow is none of the controllers' business
-            controllers.update(self.controllers())
+            own = self.controllers()
+            for name in set(self._names) & (controllers.keys() - own):  # their model left with the bundle
+                del controllers[name]
+            controllers.update(own)
         return f"{self.model.name} {self.model.version} estimates and plans{kept}"
 
     def begin_anew(self) -> None:

@@ -47,13 +47,13 @@ def make(name: str, parts: ControllerParts) -> Controller:
         return _mpc(name, parts)
     if name in names.LLM:
         return _llm(name, parts)
-    if name in names.RL:
-        return Rl(name, parts.policies.get(name))
+    if name in parts.policies:
+        return Rl(name, parts.policies[name])
     if name == names.PID:
         return _pid()
     if name in names.MPC_TWIN:
         return _mpc_twin(name, parts)
-    raise RequestError(f"controller: {name} is not built in")
+    raise RequestError(f"controller: {name} needs a model that is missing here")
 
 
 def _pid() -> Controller:

@@ -4,33 +4,25 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from edge.formats.address import host_problem, url_problem
 from edge.formats.cross_check import Section, items, number, text, whole
 
-# Without user and password, which would stand in the configuration: tokens come from files.
-URL = r"(https?://[^\s/?#@]+(/[^\s#]*)?)?"
 MAIL_ADDRESS = r"[^\s@<>,;:\"]+@[^\s@<>,;:\"]+"
 URL_FILE = "file that holds the address instead, where the address itself is a secret"
 CREDENTIAL = "a bare name is a systemd credential of greenhouse-page.service"
 CA = "authority of the server's certificate, PEM; empty: the system's"
 
 
-def url_problem(url: str) -> str:
-    """Return why an address can't be asked, "" where it can; without the address."""
-    return "" if re.fullmatch(URL, url) else "is not https://HOST/PATH, without user, password, blank and #"
-
-
 @dataclass(frozen=True, slots=True)
 class HttpTarget(Section):
     """An address that is asked by HTTP."""
 
-    url: str = text("", "its address; empty: none")
+    url: str = text("", "its address; empty: none", form=url_problem)
     url_file: str = text("", f"{URL_FILE}; {CREDENTIAL}")
     ca: str = text("", CA)
 
     def cross_check(self) -> None:
-        """Check the address, which no message quotes: it may be a secret."""
-        if problem := url_problem(self.url):
-            self.refuse("url", problem)
+        """Check that there is one address at most."""
         if self.url and self.url_file:
             self.refuse("url_file", "url is given too: one of the two")
 
@@ -59,7 +51,7 @@ class WebhookSettings(HttpTarget):
 class MailSettings(Section):
     """E-mail through an SMTP server."""
 
-    host: str = text("", "SMTP server; empty: no mail", pattern=r"[^\s/@]*")
+    host: str = text("", "SMTP server; empty: no mail", form=host_problem)
     port: int = whole(587, "its port (465 with tls: tls)", 1, 65535)
     tls: str = text("starttls", "how the line is encrypted; none: not at all", ("starttls", "tls", "none"))
     ca: str = text("", CA)
@@ -102,7 +94,7 @@ class AlarmSettings(Section):
         120.0, "a daemon that has not answered so long, or made no tick, is an alarm", "s", 5.0, 3600.0
     )
     page_url: str = text(
-        "", "the page's address in messages; empty: made of page.names and page.port", pattern=URL
+        "", "the page's address in messages; empty: made of page.names and page.port", form=url_problem
     )
     ntfy: NtfySettings = field(default_factory=NtfySettings)
     mail: MailSettings = field(default_factory=MailSettings)

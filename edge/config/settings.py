@@ -7,10 +7,10 @@ from pathlib import Path
 
 from edge.config.alarm_settings import AlarmSettings
 from edge.core import hard_limits as hard
-from edge.core.controller_names import AUTO, CONTROLLERS, EXTERNAL, LLM, MPC, RULES
+from edge.core.controller_names import AUTO, CONTROLLERS, EXTERNAL, LLM, MPC, RL, RULES
+from edge.formats.address import host_problem, url_problem
 from edge.formats.cross_check import Section, clock, flag, items, number, text, whole
 
-URL = r"(https?://[^\s/]+(/\S*)?)?"
 NAME = r"[a-zA-Z0-9_-]{1,64}"  # fit for MQTT topics and Home Assistant ids
 PREDICTORS = ("arx", "pbm", "lstm", "ham")
 FALLBACKS = (RULES, *MPC)  # nothing that asks somebody else
@@ -39,11 +39,14 @@ class PageSettings(Section):
 
     port: int = whole(8420, "TCP port", 1, 65535)
     host: str = text(
-        "", "address to listen at; empty: this machine alone, and all once `greenhouse page pair` was called"
+        "",
+        "address to listen at; empty: this machine, and all after `greenhouse page pair`",
+        form=host_problem,
     )
     names: tuple[str, ...] = items(
         "further names by which browsers reach it, such as a proxy's; its address and this machine's name do",
         "greenhouse.example.org",
+        host_problem,
     )
     proxies: tuple[str, ...] = items(
         "addresses of proxies before it, which name the browser's address in X-Forwarded-For", "127.0.0.1"
@@ -85,7 +88,7 @@ class MqttSettings(Section):
     """Telemetry and remote commands."""
 
     enabled: bool = flag(False, "connect to a broker")
-    host: str = text("localhost", "broker")
+    host: str = text("localhost", "broker", pattern=".+", form=host_problem)
     port: int = whole(1883, "broker's port (8883 with TLS)", 1, 65535)
     keepalive_s: int = whole(30, "MQTT keep-alive [s]", 5, 3600)
     tls: bool = flag(False, "encrypt, and check the broker's certificate")
@@ -165,7 +168,7 @@ class ControlSettings(Section):
 class LlmSettings(Section):
     """A language model behind an OpenAI-compatible endpoint."""
 
-    url: str = text("", "base URL, e.g. http://localhost:11434/v1; empty: there is none", pattern=URL)
+    url: str = text("", "base URL, e.g. http://localhost:11434/v1; empty: none", form=url_problem)
     model: str = text("", "its name there")
     key_file: str = text("", "file that holds the API key; a bare name is a systemd credential; empty: none")
     ca: str = text("", "authority of an https server's certificate, PEM; empty: those that are widely known")
@@ -189,6 +192,8 @@ class LlmSettings(Section):
 
     def cross_check(self) -> None:
         """Check that an endpoint has a model's name and a cost budget has prices."""
+        if "?" in self.url:
+            self.refuse("url", "has a part behind a question mark: a base URL has none")
         if self.url and not self.model:
             self.refuse("model", "is empty but url is given")
         if self.cost_per_day and not (self.price_in or self.price_out):
@@ -225,7 +230,7 @@ class BundleSettings(Section):
         "",
         "address under which a fleet's bundles stand: orders over MQTT install from there what a trusted key "
         "has signed; empty: such orders are refused",
-        pattern=URL,
+        form=url_problem,
     )
     source_ca: str = text(
         "", "certificate of the authority by which `source` is known over https; empty: this system's"
@@ -546,6 +551,8 @@ class Settings(Section):
             return f"{controller} needs llm.url and llm.model"
         if controller == EXTERNAL and not self.external.socket:
             return f"{controller} needs external.socket"
+        if controller in RL and not self.bundle.path:
+            return f"{controller} needs bundle.path and a bundle with its policy"
         return ""
 
     @property

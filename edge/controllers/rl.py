@@ -17,8 +17,7 @@ _DIGITS = 6
 class Rl:
     """`RL-Off`, `RL-Off-P`, `RL-On-P` and `RL-Tr-P`: one policy each."""
 
-    def __init__(self, name: str, policy: OnnxPolicy | None) -> None:
-        """`policy` is None where the active bundle has none of this name."""
+    def __init__(self, name: str, policy: OnnxPolicy) -> None:
         self.name = name
         self._policy = policy
 
@@ -28,11 +27,9 @@ class Rl:
     def decide(self, context: Context) -> Decision:
         """Return the allowed action of the highest value, of equal ones the first.
 
-        Raises : DataError without a policy, and where observation or values are not numbers
+        Raises : DataError where observation or values are not numbers
         """
         policy = self._policy
-        if policy is None:
-            raise DataError(f"the active bundle has no policy {self.name}")
         observation = observe_tick(context)
         values = policy.values(observation[None])[0]
         if not np.isfinite(values).all():

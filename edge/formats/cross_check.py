@@ -8,7 +8,7 @@ object is made, so a setting from code is held to the same limits as one from YA
 import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import time
 from typing import Any, NoReturn
@@ -19,6 +19,7 @@ from edge.core.plain_text import quote
 REQUIRED = {"required": True}  # metadata: in a document, though an object made in code has a default
 ABSENT: Any = None  # default of a key that may be left out of a document but not be null
 TEXT_MAX = 4096  # of a value; the longest path of Linux
+Form = Callable[[str], str] | None
 KEY_MAX = 100  # of a misspelt key that is compared with the known ones
 
 
@@ -37,6 +38,7 @@ class Rule:
     above: float = -math.inf  # a lower bound that is not allowed itself
     most: int = 0  # characters or items; 0: TEXT_MAX characters, any number of items
     least: int = 0
+    form: Form = None  # why a text, or one of a list, is not allowed
 
 
 class SettingError(ConfigError):
@@ -83,9 +85,9 @@ def whole(default: int, doc: str, low: int, high: int, choices: tuple[int, ...] 
     return _field(default, Rule(doc, "", low, high, choices=choices))
 
 
-def text(default: str, doc: str, choices: tuple[str, ...] = (), pattern: str = "") -> Any:
-    """Declare a string, one of `choices` or wholly matched by `pattern` where given."""
-    return _field(default, Rule(doc, choices=choices, pattern=pattern))
+def text(default: str, doc: str, choices: tuple[str, ...] = (), pattern: str = "", form: Form = None) -> Any:
+    """Declare a string: one of `choices`, wholly matched by `pattern`, of a `form`, where given."""
+    return _field(default, Rule(doc, choices=choices, pattern=pattern, form=form))
 
 
 def flag(default: bool, doc: str) -> Any:
@@ -98,9 +100,9 @@ def clock(default: str, doc: str) -> Any:
     return _field(time.fromisoformat(default), Rule(doc, "local time"))
 
 
-def items(doc: str, example: str) -> Any:
-    """Declare a list of sections, empty by default."""
-    return _field((), Rule(doc, example=example))
+def items(doc: str, example: str, form: Form = None) -> Any:
+    """Declare a list of sections or texts, empty by default."""
+    return _field((), Rule(doc, example=example, form=form))
 
 
 def _field(default: Any, rule: Rule) -> Any:
@@ -120,6 +122,8 @@ def value_problem(value: object, rule: Rule | None) -> str:
     if isinstance(value, tuple | Mapping) and not rule.least <= len(value) <= (rule.most or len(value)):
         bounds = f"{rule.least} to {rule.most}" if rule.most else f"at least {rule.least}"
         return f"must hold {bounds}, not {len(value)}"
+    if isinstance(value, tuple) and rule.form:
+        return next(filter(None, map(rule.form, value)), "")
     return ""
 
 
@@ -129,7 +133,7 @@ def _text_problem(value: str, rule: Rule) -> str:
         return f"{quote(value)} is longer than {most} characters or has some that are not printable"
     if rule.pattern and not re.fullmatch(rule.pattern, value):
         return f"{quote(value)} does not match {rule.pattern}"
-    return ""
+    return rule.form(value) if rule.form else ""
 
 
 def _number_problem(value: float, rule: Rule) -> str:

@@ -47,12 +47,8 @@ def make_client(settings: MqttSettings, lane: str = "") -> Client:
     client.connect_timeout = CONNECT_TIMEOUT_S
     client.max_inflight_messages_set(0)  # the drain keeps its own window
     identify(client, settings)
-    try:
-        settings.host.encode("idna")
-        keepalive_s = min(settings.keepalive_s, LANE_MAX_S) if lane else settings.keepalive_s
-        client.connect_async(settings.host, settings.port, keepalive_s, clean_start=True)
-    except ValueError as error:  # UnicodeError is one
-        raise ConfigError(f"mqtt.host: {settings.host!r} is no host name: {error}") from None
+    keepalive_s = min(settings.keepalive_s, LANE_MAX_S) if lane else settings.keepalive_s
+    client.connect_async(settings.host, settings.port, keepalive_s, clean_start=True)
     return client
 
 

@@ -19,7 +19,6 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from edge.config.settings import MqttSettings
-from edge.core.errors import ConfigError
 from edge.mqtt.connection import CONNECT_TIMEOUT_S, end, identify
 from fleet.ingest.tick import PAYLOAD_MAX
 
@@ -79,13 +78,9 @@ class FleetInbox:
         properties.ReceiveMaximum = self._window
         properties.MaximumPacketSize = PACKET_MAX
         own = self._settings
-        try:
-            own.host.encode("idna")
-            self._client.connect_async(
-                own.host, own.port, own.keepalive_s, clean_start=False, properties=properties
-            )
-        except ValueError as error:  # UnicodeError is one
-            raise ConfigError(f"mqtt.host: {own.host!r} is no host name: {error}") from None
+        self._client.connect_async(
+            own.host, own.port, own.keepalive_s, clean_start=False, properties=properties
+        )
         self._client.loop_start()
 
     def close(self) -> None:

@@ -11,6 +11,7 @@ import yaml
 
 from edge.config.loading import all_problems
 from edge.core.errors import RequestError
+from edge.formats.address import host_problem
 from edge.formats.atomic_file import write_atomically
 from edge.formats.cross_check import Section, items, text, whole
 from edge.formats.reader import read_yaml
@@ -40,7 +41,7 @@ class FleetMachine(Section):
 
     data: str = text("", "folder of the database, the numbers and the broker's store")
     user: str = text(USER, "user as whom the engines run", pattern=r"[a-z_][a-z0-9_-]{0,31}")
-    host: str = text("", "address at which broker and web listen; empty: all")
+    host: str = text("", "address at which broker and web listen; empty: all", form=host_problem)
     names: tuple[str, ...] = items("names of this machine, in the server's certificate", "fleet.example.org")
     ports: Ports = field(default_factory=Ports)
 

@@ -18,16 +18,18 @@ from edge.bundle.predictors import loader
 from edge.bundle.store import PACKAGED_FOLDER, BundleStore
 from edge.config import loading as config
 from edge.config.settings import ControlSettings, HistorySettings, Settings
+from edge.controllers.rules import Rules
 from edge.core.clock import RealClock
-from edge.core.errors import ConfigError, DataError
+from edge.core.controller_names import EXTERNAL, MPC, RL
+from edge.core.errors import ConfigError, DataError, RequestError
 from edge.forecasts.skill import SkillState
 from edge.formats.atomic_file import write_document
 from edge.models.arx_file import DEFAULT_PATH, read_arx, write_arx
 from edge.models.persistence import Persistence
-from edge.mqtt.commands import Resend
+from edge.mqtt.commands import Resend, parse
 from edge.safety.supervisor import SafetyMemory
 from edge.state.codecs import StandingState, encode_standing
-from edge.tick.orders import Operation
+from edge.tick.orders import Operation, operate
 
 
 def test_the_packaged_model_serves_the_default_step() -> None:
@@ -146,6 +148,30 @@ def test_an_installed_bundle_without_a_twin_leaves_the_rig_to_the_arx() -> None:
     without = {name: model for name, model in bundle.predictors.items() if name != "pbm"}
     models._serving = Serving(replace(bundle, predictors=without))
     assert models.first_controller()[0] == "MPC-P"
+
+
+def test_a_policy_is_offered_as_long_as_the_active_bundle_has_it() -> None:
+    models = models_of("2026.1")
+    controllers = {**models.controllers(), EXTERNAL: Rules()}
+    assert set(RL) < set(controllers)
+    active = models._serving.active  # type: ignore[union-attr]
+    models._keeper.serving = Serving(replace(active, policies={}))  # type: ignore[union-attr]
+    models.exchange(SimpleNamespace(), controllers)  # type: ignore[arg-type]
+    assert not set(RL) & set(controllers)
+    assert {EXTERNAL, *MPC} < set(controllers)
+
+
+def test_without_a_bundle_no_policy_can_be_chosen_by_any_door(tmp_path: Path) -> None:
+    text = PLACES.replace("control: {{step_s: 5, controller: rules}}", "")
+    settings = config.parse(text.format(folder=tmp_path))
+    settings = replace(settings, bundle=replace(settings.bundle, path=""))
+    with Daemon(settings, RealClock()) as daemon:
+        assert daemon._loop is not None
+        for name in RL:
+            request = parse("controller", name.encode(), daemon.settings.reference)  # over MQTT
+            with pytest.raises(RequestError, match=f"{name} needs bundle.path"):
+                operate(Operation("MPC"), request, daemon._loop._desk())
+        assert not set(RL) & set(daemon.settings.controllers)
 
 
 def test_the_first_start_says_who_controls(tmp_path: Path) -> None:

@@ -174,6 +174,19 @@ def test_on_and_off_are_keys_and_times_need_no_quotes():
         ("mqtt: {tls: true, client_cert: x}", "mqtt.client_key: client_cert and client_key go together"),
         ("mqtt: {client_key: x}", "mqtt.client_key: client_cert and client_key go together"),
         ("mqtt: {password_file: x}", "mqtt.username: is empty"),
+        *(
+            (f"{section}: {{host: '{value}'}}", f"{section}.host: {value!r} is not a host name or an IP")
+            for section in ("mqtt", "page")
+            for value in ("mqtt://broker:1883", "broker:1883", "10.0.0.300")
+        ),
+        ("mqtt: {host: ''}", "mqtt.host: '' does not match"),
+        ("page: {names: [ok.example.org, 'https://x.org']}", "page.names: 'https://x.org' is not"),
+        ("alarms: {mail: {host: 'smtp://mail.lan'}}", "alarms.mail.host: 'smtp://mail.lan' is not a host"),
+        ("alarms: {page_url: 'http://a@b:c/'}", "alarms.page_url: is not https://HOST/PATH"),
+        ("bundle: {source: 'http://a@b:c/'}", "bundle.source: is not https://HOST/PATH"),
+        ("llm: {model: m, url: 'http://a@b:c/'}", "llm.url: is not https://HOST/PATH"),
+        ("llm: {model: m, url: 'http://b/v1?c=d'}", "llm.url: has a part behind a question mark"),
+        ("{bundle: {path: ''}, control: {controller: RL-Off}}", "controller: RL-Off needs bundle.path"),
         ("alarms: {ntfy: {url: 'https://u:pw@ntfy.sh/t'}}", "alarms.ntfy.url: is not https://HOST/PATH"),
         ("alarms: {webhook: {url: 'ftp://x/t'}}", "alarms.webhook.url: is not https://HOST/PATH"),
         ("alarms: {life_sign: {url: 'https://x/', url_file: /x}}", "alarms.life_sign.url_file: url is given"),

@@ -16,7 +16,7 @@ from edge.config.settings import ControlSettings
 from edge.controllers.rl import Rl
 from edge.core.controller import ControlLimits
 from edge.core.controller_names import CONTROLLERS, RL
-from edge.core.errors import DataError
+from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command
 from edge.core.names import HEATER_LEVELS
 from edge.models.arx_file import read_arx
@@ -108,9 +108,9 @@ def test_one_action_left_has_no_runner_up(policy):
     assert (why["runner_up"], why["margin"], why["forbidden"]) == (None, None, ACTIONS - 1)
 
 
-def test_without_a_policy_it_says_so():
-    with pytest.raises(DataError, match="the active bundle has no policy RL-Tr-P"):
-        Rl("RL-Tr-P", None).decide(context())
+def test_without_a_policy_none_is_made():
+    with pytest.raises(RequestError, match="RL-Tr-P needs a model that is missing here"):
+        make("RL-Tr-P", ControllerParts(ControlSettings(), read_arx()))
 
 
 def test_an_unknown_temperature_is_refused(policy):
