@@ -7,7 +7,7 @@ from edge.board.board_file import BOARDS, read_board_file
 from edge.board.board_session import BAUDRATE, BoardSession
 from edge.board.board_tool import configuration, configure, flash, show
 from edge.board.wiring import wiring_svg, wiring_table
-from edge.commands.arguments import writing
+from edge.commands.arguments import whole, writing
 from edge.commands.orders import print_answer
 from edge.commands.which_rig import add_socket, socket_of
 from edge.config.settings import BoardSettings
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_socket(subs["accept"])
     subs["flash"].add_argument("--board", required=True, choices=BOARDS, help="the microcontroller's board")
     subs["flash"].add_argument(
-        "--baudrate", type=int, default=BAUDRATE, help="of the bootloader; 57600 for an old Nano"
+        "--baudrate", type=whole(1), default=BAUDRATE, help="of the bootloader; 57600 for an old Nano"
     )
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge.app.box import BEFORE, COMMISSION, description_of
-from edge.commands.arguments import number, writing
+from edge.commands.arguments import number, whole, writing
 from edge.commands.bundle import change, install, settings_of, store_of
 from edge.commands.experiment import rig_of
 from edge.commands.hands import Hands
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--config", type=Path, help="configuration file; default: the rig's")
     parser.add_argument("--virtual", action="store_true", help="try it on a virtual board")
-    parser.add_argument("--seed", type=int, default=1, help="of the virtual board's noise; default: 1")
+    parser.add_argument("--seed", type=whole(0), default=1, help="of the virtual board's noise; default: 1")
     parser.set_defaults(chamber=None, history=None)
 
 

@@ -16,7 +16,7 @@ from edge.assistant.why.ask_history import reasons
 from edge.commands.arguments import number, whole
 from edge.commands.which_rig import add_socket, rigs_of, socket_of
 from edge.core.errors import GreenhouseError
-from edge.core.hard_limits import MAINTENANCE_MAX_MIN
+from edge.core.hard_limits import MAINTENANCE_MAX_MIN, REFERENCE_MAX_C, REFERENCE_MIN_C
 from edge.core.plain_text import plain
 from edge.formats.owner import as_owner
 from edge.sockets.client import request
@@ -130,12 +130,7 @@ Fill = Callable[[argparse.ArgumentParser], None]
 
 
 def _target(text: str) -> float | None:
-    if text == "none":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a temperature nor none") from None
+    return None if text == "none" else number(REFERENCE_MIN_C, REFERENCE_MAX_C)(text)
 
 
 def _name(text: str) -> str | None:

@@ -8,6 +8,7 @@ import time
 from datetime import datetime
 from pathlib import Path
 
+from edge.commands.arguments import number, whole
 from edge.commands.bundle import settings_of
 from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import Settings
@@ -46,14 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--role", choices=ROLES, default=role.word, help="what they may; default: %(default)s"
         )
         each.add_argument("--name", default="", help="stands beside orders in the history")
-    link.add_argument("--days", type=float, default=7.0, help="how long it is valid; default: 7")
+    link.add_argument("--days", type=number(1e-3, LINK_DAYS_MAX), default=7.0, help="how long; default: 7")
     person.add_argument("name", help="stands beside orders in the history")
     person.add_argument(
         "--role", choices=ROLES, default=Role.OPERATE.word, help="what they may; default: %(default)s"
     )
+    row = whole(1, 2**63 - 1)  # SQLite's largest integer
     ends = revoke.add_mutually_exclusive_group()
-    ends.add_argument("session", type=int, nargs="?", help="its number; default: all sessions and links")
-    ends.add_argument("--link", type=int, metavar="N", help="this link, and the sessions that began by it")
+    ends.add_argument("session", type=row, nargs="?", help="its number; default: all sessions and links")
+    ends.add_argument("--link", type=row, metavar="N", help="this link, and the sessions that began by it")
     ends.add_argument("--person", metavar="NAME", help="this person's password and sessions")
 
 
@@ -92,8 +94,6 @@ def _serve(file: Path | None) -> None:
 def _print_link(
     settings: Settings, access: Access, given: argparse.Namespace, days: float, uses: int | None
 ) -> None:
-    if not 0.0 < days <= LINK_DAYS_MAX:
-        raise RequestError(f"--days: above 0, at most {LINK_DAYS_MAX:g}")
     secret = access.make_link(ROLES[given.role], given.name or given.role, days * DAY_S, uses)
     how = "for one browser" if uses else "for whoever has it"
     until = f"within {24.0 * days:g} h" if days < 1.0 else f"for {days:g} days"

@@ -134,10 +134,7 @@ def skill_table(skills: Sequence[Sequence[Skill]]) -> list[str]:
 
 
 def _horizons(text: str) -> tuple[float, ...]:
-    values = tuple(float(word) for word in text.split(","))
-    if not all(0 < value < 1e6 for value in values):
-        raise argparse.ArgumentTypeError(f"{text!r} is no list of times above 0")
-    return values
+    return tuple(map(number(0.0, 1e6, above=True), text.split(",")))
 
 
 def _read(path: Path) -> list[dict[str, Any]]:

@@ -56,7 +56,7 @@ def add_data_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--rows",
-        type=int,
+        type=whole(1),
         help="use so many of the newest rows of the history; memory grows with them; default: all",
     )
 

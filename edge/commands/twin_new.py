@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from edge.commands.arguments import writing
+from edge.commands.arguments import number, writing
 from edge.core.errors import RequestError
 from edge.formats.atomic_file import write_atomically
 from edge.twin.box_words import VOLUME, edges, quantity, wall
@@ -23,16 +23,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     size.add_argument(
         "--edges", type=_option_type(edges), dest="volume_m3", help="of the box inside, such as 50x50x60cm"
     )
-    parser.add_argument("--heater-w", type=float, required=True, help="power of the heater at full duty [W]")
+    value = number(0.0, 1e9)
+    parser.add_argument("--heater-w", type=value, required=True, help="power of the heater at full duty [W]")
     parser.add_argument(
         "--fan", choices=FAN_ROLES, required=True, help="what it does: change the air, mix it"
     )
-    parser.add_argument("--fan-flow", type=float, help="of an exhaust fan that runs free [m3/h]")
+    parser.add_argument("--fan-flow", type=value, help="of an exhaust fan that runs free [m3/h]")
     parser.add_argument(
         "--wall", type=_option_type(wall), help="material and thickness, such as plywood:12mm"
     )
-    parser.add_argument("--wall-area", type=float, help="of all walls, floor and lid [m2]")
-    parser.add_argument("--sample-s", type=float, default=60.0, help="step of the twin; default: %(default)s")
+    parser.add_argument("--wall-area", type=value, help="of all walls, floor and lid [m2]")
+    parser.add_argument("--sample-s", type=value, default=60.0, help="step of the twin; default: %(default)s")
     parser.add_argument("--force", action="store_true", help="replace a file that is there")
 
 

@@ -7,6 +7,7 @@ from datetime import datetime
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from edge.commands.arguments import number
 from fleet.database.base import open_database
 from fleet.database.rigs import FleetRig
 from fleet.jobs.changes import changes
@@ -18,7 +19,7 @@ DAY_S = 86400.0
 
 def add_changes_arguments(parser: argparse.ArgumentParser) -> None:
     """Add how far back it looks."""
-    parser.add_argument("--days", type=float, default=7.0, help="how far back (usual: 7)")
+    parser.add_argument("--days", type=number(0.0, 36500.0), default=7.0, help="how far back (usual: 7)")
 
 
 def run_changes(settings: FleetSettings, arguments: argparse.Namespace) -> int:

@@ -11,6 +11,7 @@ from pathlib import Path
 from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 
+from edge.commands.arguments import whole
 from fleet.database.base import open_database
 from fleet.database.bundles import BundleRollout
 from fleet.database.lease import FleetLease, LeaseLost
@@ -45,7 +46,7 @@ def add_rollout_arguments(parser: argparse.ArgumentParser) -> None:
     action["start"].add_argument("bundle", type=Path, help="archive or folder of the bundle")
     action["start"].add_argument("--group", default="", help="rigs of this group alone; default: all rigs")
     for name, done in {"go-on": "let it go on", "stop": "stopped it"}.items():
-        action[name].add_argument("rollout", type=int, help="its number")
+        action[name].add_argument("rollout", type=whole(1, 2**63 - 1), help="its number")
         action[name].add_argument("--why", default=f"a person {done}", help="reason, for the record")
     action["status"].add_argument("--rigs", action="store_true", help="a line for each rig too")
 

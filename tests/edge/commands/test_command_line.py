@@ -37,6 +37,26 @@ def test_every_command_stands_once_in_the_help_and_fits_80_columns() -> None:
     assert text.index("greenhouse demo") < text.index("check-config /etc") < text.index("emergency-stop")
 
 
+NAMES = {"maintenance": "minutes", "reference": "DEGC", "revoke": "session"}  # of what has no option
+
+
+def parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                yield from parsers(sub)
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, *ORDERS, "fleet"])
+def test_no_command_reads_a_number_without_bounds(command: str) -> None:
+    for parser in parsers(parser_for(command)):
+        unbounded = [
+            each.dest for each in parser._actions if each.type in (float, int) and each.choices is None
+        ]
+        assert unbounded == []
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -54,6 +74,7 @@ def test_every_command_stands_once_in_the_help_and_fits_80_columns() -> None:
         "manual --led X",
         "manual --fan-on X",
         "maintenance X",
+        "reference X",
         "resend X 3",
         "resend 3 X",
         "twin simulate a.csv --twin t --start-rows X",
@@ -68,6 +89,14 @@ def test_every_command_stands_once_in_the_help_and_fits_80_columns() -> None:
         "what-if --fan X",
         "what-if --reach X",
         "what-if --room X",
+        "page link --days X",
+        "page revoke X",
+        "page revoke --link X",
+        "board flash --board uno --baudrate X",
+        "commission --seed X",
+        "replay a.csv --horizons 60,X",
+        "twin diagnose --twin t --out o --since 1d --rows X",
+        "twin new f --volume 27l --fan none --heater-w X",
     ],
 )
 def test_a_number_that_makes_no_sense_is_refused_by_its_option(
@@ -75,7 +104,7 @@ def test_a_number_that_makes_no_sense_is_refused_by_its_option(
 ) -> None:
     place = next(i for i, word in enumerate(words.split()) if word.endswith("X"))
     option = words.split()[place - 1]
-    named = option if option.startswith("--") else {"maintenance": "minutes"}.get(option, "_seq")
+    named = option if option.startswith("--") else NAMES.get(option, "_seq")
     for value in ("-99", "nan", "inf", "1e999", "x"):
         code, text = said(capsys, *(word.replace("X", value) for word in words.split()))
         assert code == 2

@@ -302,7 +302,7 @@ def test_a_reference_that_is_no_number_is_a_wrong_argument(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["reference", "warm"])
     assert ended.value.code == 2
-    assert "'warm' is neither a temperature nor none" in capsys.readouterr().err
+    assert "'warm' is not a number from " in capsys.readouterr().err
 
 
 def test_a_fifo_is_refused_wherever_a_file_is_read(tmp_path, capsys):
