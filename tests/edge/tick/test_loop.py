@@ -225,6 +225,7 @@ def test_a_jump_of_the_wall_clock_is_told_and_changes_no_command(rig: LoopRig) -
         "bundle.refused",
         "output.behind",
         "telemetry.flooded",
+        "telemetry.name_taken",
     ],
 )
 def test_what_ails_a_sink_is_told_and_control_goes_on(rig: LoopRig, key: str) -> None:
