@@ -274,9 +274,9 @@ class DriftSettings(Section):
 
 @dataclass(frozen=True, slots=True)
 class ReferenceStep(Section):
-    """From `at_s` after the start on: `reference_c`."""
+    """From `at_s` after the first start with these steps on, over restarts: `reference_c`."""
 
-    at_s: float = number(0.0, "time since start", "s", 0.0, 1e9)
+    at_s: float = number(0.0, "time since the first start with these steps", "s", 0.0, 1e9)
     reference_c: float = number(24.0, "target", "degC", hard.REFERENCE_MIN_C, hard.REFERENCE_MAX_C, hard=True)
 
 
@@ -296,7 +296,7 @@ class RampReference(Section):
         22.0, "target before", "degC", hard.REFERENCE_MIN_C, hard.REFERENCE_MAX_C, hard=True
     )
     to_c: float = number(28.0, "target after", "degC", hard.REFERENCE_MIN_C, hard.REFERENCE_MAX_C, hard=True)
-    start_s: float = number(0.0, "begins so long after the start", "s", 0.0, 1e9)
+    start_s: float = number(0.0, "begins so long after the first start with this ramp", "s", 0.0, 1e9)
     duration_s: float = number(3600.0, "takes so long", "s", 1.0, 1e9)
 
 

@@ -605,8 +605,7 @@ class Loop:
         return reading.value if reading is not None and reading.quality is ReadingQuality.GOOD else None
 
     def _shut_down(self) -> None:
-        if self._operation.profile is not None:
-            self._rig.save_state(self._operation, self._memory)
+        self._rig.save_state(self._operation, self._memory)
         self._rig.board.drive(Command(), False, 0.0)
         if self._rig.board.link_up:
             self._rig.board.serve_until_echo(ECHO_TIMEOUT_S)

@@ -258,6 +258,7 @@ class LoopRig:
     def run(self, seconds: float) -> None:
         """Let the loop tick by itself for so long, from its start on; nothing is saved at the end."""
         self.loop._rig = replace(self.rig, stop_at_s=self.clock.now_s + seconds)
+        self.loop._shut_down = lambda: None  # type: ignore[method-assign]
         self.loop.run()
 
     def tick(self, after_s: float = 60.0) -> TickRecord:
