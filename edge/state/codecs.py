@@ -133,11 +133,13 @@ def carry_on(state: StandingState, limits: Limits | str, now: Moment, heater_w: 
     saved_s, start = now_s - limits.at.elapsed_s(now), limits.reference_start
     unsaved_s = min(now_s - saved_s, HEAT_BUCKET_S)
     heat = tuple((saved_s - age_s, wh) for age_s, wh in limits.heat)
+    # By earlier software, which has written the state file alone since then.
+    older = [dose for dose in memory.doses if dose.utc not in {utc for _, utc, _ in limits.doses}]
     full = SafetyMemory(heat=heat, sent=Command(heater_duty=1.0), time_s=saved_s)
     memory = replace(
         memory,
         heat=book_heat(full, saved_s + unsaved_s, unsaved_s, heater_w).heat,
-        doses=tuple(Dose(saved_s - age_s, *dose) for age_s, *dose in limits.doses),
+        doses=(*(Dose(saved_s - age_s, *dose) for age_s, *dose in limits.doses), *older),
         fan_since_s=now_s,  # it went off with the process before, and may have been on unsaved
         fan_switches=(*(saved_s - age_s for age_s in limits.fan_switches), now_s, now_s),
         thermal=ThermalMemory(proof=RelayProof(*(seconds + unsaved_s for seconds in limits.proof))),

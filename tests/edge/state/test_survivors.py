@@ -150,6 +150,20 @@ def test_without_a_record_nothing_is_watered_for_the_soak_time(rig: LoopRig, kno
     assert water_s(rig) == 4.0
 
 
+@watered
+def test_water_that_earlier_software_gave_in_between_counts(rig: LoopRig) -> None:
+    rig.tick()
+    assert rig.documents is not None
+    limits = rig.documents[1]
+    for _ in range(30):
+        rig.tick()
+    rig.documents = (rig.documents[0], limits)  # a downgrade: it has left this file alone
+    rig.kill()
+    for _ in range(30):
+        rig.tick()
+    assert water_s(rig) == 4.0
+
+
 # maintenance, and what runs by time
 
 
