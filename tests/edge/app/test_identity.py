@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,14 +11,14 @@ import pytest
 
 from edge.app import running_rigs, setup
 from edge.app.daemon import Daemon
-from edge.board.sim_clock import SimClock
-from edge.board.virtual_rig import settings_in, virtual_rig
+from edge.board.virtual_rig import settings_in
 from edge.config import loading
 from edge.config.settings import ControlSocketSettings, MqttSettings, Settings
 from edge.core.clock import RealClock
 from edge.core.errors import ConfigError
 from edge.core.messages import TickRecord
-from edge.tick.status import status_json
+from edge.tick.status import LoopStatus, status_json
+from training.lab import Lab
 
 RULES = "control: {controller: rules}\nreference: {kind: constant, reference_c: 30}\ndrift: {enabled: false}"
 
@@ -28,16 +27,17 @@ def settings_of(folder: Path) -> Settings:
     return settings_in(folder, loading.parse(RULES))
 
 
-def three_ticks(folder: Path) -> tuple[list[TickRecord], dict[str, object]]:
+def three_ticks(folder: Path, settings: Settings | None = None) -> tuple[list[TickRecord], dict[str, object]]:
     """Run a daemon at a virtual board; return its ticks, and its status after the last one."""
-    records: list[TickRecord] = []
-    with (
-        virtual_rig(folder, 1) as rig,
-        closing(SimClock(rig.control)) as clock,
-        Daemon(settings_of(folder), clock, records.append, stop_at_s=170.0) as daemon,
-    ):
-        daemon.run()
-        return records, status_json(daemon.status())
+    statuses: list[LoopStatus] = []
+    with Lab(
+        settings or settings_of(folder),
+        board="here",
+        folder=folder,
+        on_tick=lambda record: statuses.append(lab._daemon.status()),
+    ) as lab:
+        lab.run(ticks=3)
+    return lab.history, status_json(statuses[-1])
 
 
 def keys(records: list[TickRecord]) -> list[str]:
@@ -166,11 +166,5 @@ def test_a_new_rig_is_named_by_its_machine(
 def test_a_rig_that_keeps_the_default_name_says_so(tmp_path: Path, rig: str, told: bool) -> None:
     settings = settings_of(tmp_path)
     mqtt = replace(settings.mqtt, enabled=True, host="127.0.0.1", port=1, rig=rig)
-    records: list[TickRecord] = []
-    with (
-        virtual_rig(tmp_path, 1) as board,
-        closing(SimClock(board.control)) as clock,
-        Daemon(replace(settings, mqtt=mqtt), clock, records.append, stop_at_s=50.0) as daemon,
-    ):
-        daemon.run()
+    records, _ = three_ticks(tmp_path, replace(settings, mqtt=mqtt))
     assert ("mqtt.default_name" in keys(records)) == told

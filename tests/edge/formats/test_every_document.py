@@ -347,6 +347,7 @@ KINDS: dict[type, DocumentKind] = {
         {"name": "a", "times_s": [0.0, 60.0], "targets_c": [20.0, 25.0]},
         ("times_s", 1),
     ),
+    RunningRig: in_memory(RunningRig, {"name": "a", "socket": "/run/a.sock", "stops": "/stops"}),
     AlarmState: in_memory(AlarmState, {"alarms": [], "notes": {}}),
     ChannelTrial: in_memory(ChannelTrial, {"id": "a", "utc": 1.0}, ("utc",)),
     TrialAnswer: in_memory(TrialAnswer, {"id": "a", "reasons": {"ntfy": ""}}),
