@@ -275,11 +275,8 @@ def rig_name(before: Settings) -> str:
     if before.mqtt != MqttSettings() or os.access(before.state_file, os.F_OK):
         return before.mqtt.rig
     host = re.sub("[^a-zA-Z0-9_-]+", "-", gethostname().partition(".")[0]).strip("-")[:50] or "rig"
-    try:
-        mark = sha256(f"greenhouse {read_text(MACHINE_ID)}".encode()).hexdigest()
-    except (OSError, ValueError):
-        mark = token_hex(3)
-    return f"{host}-{mark[:6]}"
+    machine = read_text(MACHINE_ID) if os.access(MACHINE_ID, os.R_OK) else token_hex()
+    return f"{host}-{sha256(f'greenhouse {machine}'.encode()).hexdigest()[:6]}"
 
 
 def edge_text(settings: Settings) -> str:

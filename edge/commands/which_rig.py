@@ -9,7 +9,7 @@ from edge.app.demo_folders import last_history
 from edge.app.running_rigs import RunningRig, known_rigs
 from edge.config.settings import ControlSocketSettings, HistorySettings
 from edge.core.errors import ConfigError, DataError, RequestError
-from edge.core.plain_text import quote
+from edge.core.plain_text import plain, quote
 from edge.sockets.client import listens
 
 RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
@@ -40,7 +40,7 @@ def socket_of(arguments: argparse.Namespace, urgent: bool = False) -> Path:
         rigs = [rig for rig in rigs if not rig.is_demo]
     if len(rigs) > 1:
         known = ", ".join(f"{rig.name or 'its name is not known'} ({rig.socket})" for rig in rigs)
-        raise RequestError(f"more than one rig on this machine, say --rig or --socket: {known}")
+        raise RequestError(f"more than one rig on this machine, say --rig or --socket: {plain(known, 1000)}")
     if rigs[0].is_demo:
         print(f"(the demo at {rigs[0].socket}, not a real rig)", file=sys.stderr)
     return Path(rigs[0].socket)
@@ -59,7 +59,7 @@ def rigs_of(arguments: argparse.Namespace) -> list[RunningRig]:
         if selected := [each for each in found if each.name == name]:
             return selected
         known = ", ".join(sorted({each.name for each in found})) or "none"
-        raise RequestError(f"no rig named {quote(name)} runs on this machine; running: {known}")
+        raise RequestError(f"no rig named {quote(name)} runs on this machine; running: {plain(known, 1000)}")
     if (rig.exists() or RIG_CONFIG.exists()) and all(each.socket != str(rig) for each in found):
         found.insert(0, RunningRig("", str(rig)))
     if not found:
