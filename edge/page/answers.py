@@ -82,7 +82,7 @@ def number(values: Mapping[str, Any], key: str, otherwise: float | None = None) 
         found = float("nan") if isinstance(value, bool) or value is None else float(value)
     except (TypeError, ValueError):
         found = float("nan")
-    low, high = (0.0, UTC_MAX) if key.endswith("_utc") else (-1e12, 1e12)
-    if not low <= found <= high:
-        raise RequestError(f"{key}: a number from {low:g} to {high:g} is needed")
+    is_time = key.endswith("_utc")
+    if not (0.0 <= found <= UTC_MAX if is_time else abs(found) < 1e12):
+        raise RequestError(f"{key}: a {'time from 1970 to 9999' if is_time else 'number'} is needed")
     return found

@@ -450,12 +450,12 @@ class Loop:
     def status(self) -> LoopStatus:
         """Standing orders, the last tick, what the board drives now, the line's counters."""
         board, now, operation = self._rig.board, self._rig.clock.now(), self._operation
-        configured = self._rig.settings.calibration
+        utc, configured = self._rig.clock.utc(), self._rig.settings.calibration
         if self.last_record is not None:  # the first tick waits for a sample
             self._rig.sensors.take(board.take_samples())
         raw = partial(self._rig.sensors.raw, now=now)
         return LoopStatus(
-            operation.at(self._rig.clock.utc()),
+            operation.at(min(utc, self.last_record.utc if self.last_record else utc)),  # a tick ends them
             now - self._start_s,
             self._memory.trips,
             self.last_record,

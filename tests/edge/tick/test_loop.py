@@ -460,12 +460,14 @@ def test_a_trip_that_the_board_keeps_is_not_called_cleared(rig: LoopRig) -> None
 def test_a_status_shows_maintenance_until_its_end_and_no_longer(rig: LoopRig) -> None:
     rig.tick()
     rig.ask({"do": "maintenance", "minutes": 1})
-    for after_s, shown in ((59.0, True), (2.0, False), (14 * 3600.0, False)):
+    for after_s, ticks, shown in ((59.0, 0, True), (2.0, 0, True), (0.0, 1, False), (14 * 3600.0, 0, False)):
         rig.clock.now_s += after_s
+        for _ in range(ticks):
+            rig.tick(0.0)
         status = rig.ask({"do": "status"})
         assert (status["operation"]["maintenance_until_utc"] is not None) is shown
         assert any("MAINTENANCE" in line for line in status_lines(status)) is shown
-        assert state(status, {})["maintenance"] == shown
+        assert (state(status, {})["maintenance"], state(status, {})["tripped"]) == (shown, 0)
 
 
 def test_status_right_after_a_stop_shows_the_pins_of_now(rig: LoopRig) -> None:
