@@ -354,7 +354,6 @@ KINDS: dict[type, DocumentKind] = {
     Roles: in_memory(Roles, asdict(Roles())),
     CalibratePoint: asked(CalibratePoint, {"signal": "co2", "true_value": 420.0}, ("true_value",)),
     OneSignal: asked(OneSignal, {"signal": "co2"}),
-    RunningRig: in_memory(RunningRig, asdict(RunningRig("demo", "/run/greenhouse/control.sock"))),
     Admission: in_memory(Admission, asdict(Admission("1.0", ("0" * 64,)))),
 }
 FOREIGN = {ChoicesDocument, ReportedTwin, Findings, ModelReport}  # may hold keys of others
