@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bench.boxes.box import Box
 from edge.controllers.mixed_integer.problem import TRACKING_WEIGHT
 from edge.controllers.mpc_twin import Belief, MpcTwin, fan_shares
-from edge.controllers.pid import FAN_OFF_K, Pid
+from edge.controllers.pid import FAN_OFF_K, FILTER, ROUNDING, Pid, tracking_s
 from edge.controllers.twin_plan.linear_step import LinearStep, linear_step, look_marks
 from edge.core.controller import Context
 from edge.core.names import HEATER_LEVELS
@@ -161,14 +161,20 @@ def _cost(step: LinearStep, gains: Floats, rest: Floats, room_c: float, course: 
     """Return the paper's cost [M] over a course. gains : [M, 4], as `Gains`"""
     kp, ki, kd, fan_on_k = gains.T
     count = len(kp)
-    state, integral, cost = np.tile(rest, (count, 1)), np.zeros(count), np.zeros(count)
+    state, cost = np.tile(rest, (count, 1)), np.zeros(count)
+    integral, derivative, output, sent = np.zeros((4, count))
+    filter_s = kd / (kp * FILTER)
+    back = [min(STEP_S / tracking_s(*row), 1.0) for row in gains[:, :3].tolist()]
     before, fan = np.zeros(count), np.zeros(count, dtype=np.int64)
     shown = last = state[:, step.shown]
     for reference in course:
         error = reference - shown
-        integral = np.clip(integral + ki * error * STEP_S, 0.0, 1.0)  # as simple_pid limits it
-        wished = np.clip(kp * error + integral - kd * (shown - last) / STEP_S, 0.0, 1.0)
-        level = np.rint(wished * HEATER_LEVELS)
+        derivative = (filter_s * derivative - kd * (shown - last)) / (filter_s + STEP_S)
+        cut = sent - output
+        integral += ki * error * STEP_S + np.where(np.abs(cut) > ROUNDING, back * cut, 0.0)
+        output = kp * error + integral + derivative
+        level = np.rint(np.clip(output, 0.0, 1.0) * HEATER_LEVELS)
+        sent = level / HEATER_LEVELS
         cool = (level == 0) & (-error > np.where(fan == 1, FAN_OFF_K, fan_on_k))
         mode = step.mode(fan, cool.astype(np.int64))
         duty = step.share[level.astype(np.int64)]
@@ -177,5 +183,5 @@ def _cost(step: LinearStep, gains: Floats, rest: Floats, room_c: float, course: 
         state += step.late[mode] * before[:, None]
         fan, before, last = cool.astype(np.int64), duty, shown
         shown = state[:, step.shown]
-        cost += TRACKING_WEIGHT * (shown - reference) ** 2 + (level / HEATER_LEVELS) ** 2 + fan
+        cost += TRACKING_WEIGHT * (shown - reference) ** 2 + sent**2 + fan
     return cost

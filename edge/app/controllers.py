@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from edge.assistant.llm.language_model import LanguageModel
 from edge.config.settings import ControlSettings
 from edge.controllers.mpc import Mpc, MpcSettings
+from edge.controllers.pid import Pid
 from edge.controllers.rl import Rl
 from edge.controllers.rules import Rules
 from edge.core import controller_names as names
@@ -50,16 +51,10 @@ def make(name: str, parts: ControllerParts) -> Controller:
     if name in parts.policies:
         return Rl(name, parts.policies[name])
     if name == names.PID:
-        return _pid()
+        return Pid()
     if name in names.MPC_TWIN:
         return _mpc_twin(name, parts)
     raise RequestError(f"controller: {name} needs a model that is missing here")
-
-
-def _pid() -> Controller:
-    from edge.controllers.pid import Pid  # late: simple-pid is for those who choose it
-
-    return Pid()
 
 
 def _mpc_twin(name: str, parts: ControllerParts) -> Controller:

@@ -1,5 +1,6 @@
 """Inputs, memory and verdicts of the safety supervisor. All frozen; see edge/safety/supervisor.py."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -11,6 +12,9 @@ from edge.safety.thermal_supervision import ThermalMemory
 HOUR_S = 3600.0
 DAY_S = 86400.0
 HEAT_BUCKET_S = 600.0  # heat is counted in pieces of ten minutes
+RISE_OVER_S = 30.0  # a rate over less shows the sensor's steps: 0.1 K in 5 s are 1.2 K in a minute
+RISE_GAP_S = 150.0  # after a longer time without a look there is no rate
+RISE_FADES_S = 6 * HOUR_S  # time constant of the fastest rise: warm walls behind an open lid fade too
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +51,31 @@ class Dose:
 
 
 @dataclass(frozen=True, slots=True)
+class AirRise:
+    """How fast the air was seen to rise: now, negative while it falls, and at the fastest [K/s]."""
+
+    time_s: float | None = None  # of the last look; None: without a good reading since
+    air_c: float = 0.0
+    highest_c: float = -math.inf  # of the last two looks: air that an open lid cooled comes back at once
+    rate_k_s: float = 0.0
+    fastest_k_s: float = 0.0
+
+
+def follow_air(rise: AirRise, now_s: float, dt_s: float, temp_air: float | None) -> AirRise:
+    """Return the rise after one more look. temp_air : [°C]; None unless good; dt_s : of a step"""
+    passed_s = math.inf if rise.time_s is None else now_s - rise.time_s
+    if temp_air is None or not 0.0 <= passed_s <= max(RISE_GAP_S, 2.5 * dt_s):
+        if temp_air is None:
+            return AirRise(fastest_k_s=rise.fastest_k_s)
+        return AirRise(now_s, temp_air, temp_air, 0.0, rise.fastest_k_s)
+    if passed_s < RISE_OVER_S:
+        return rise
+    rate_k_s = (temp_air - rise.air_c) / passed_s
+    fastest_k_s = max(rate_k_s, rise.fastest_k_s * math.exp(-passed_s / RISE_FADES_S))
+    return AirRise(now_s, temp_air, max(temp_air, rise.air_c), rate_k_s, fastest_k_s)
+
+
+@dataclass(frozen=True, slots=True)
 class SafetyMemory:
     """All that safety keeps from one decision to the next."""
 
@@ -60,6 +89,7 @@ class SafetyMemory:
     doses: tuple[Dose, ...] = ()
     releases_until_s: float = 0.0  # each end of a stop moves it on; how far it may lie ahead is bounded
     thermal: ThermalMemory = field(default_factory=ThermalMemory)
+    rise: AirRise = AirRise()
 
 
 @dataclass(frozen=True, slots=True)

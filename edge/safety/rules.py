@@ -11,7 +11,7 @@ from edge.config.settings import SafetySettings
 from edge.core.messages import ReadingQuality
 from edge.core.names import HEATER_LEVELS
 from edge.safety.box_bounds import BoxBounds
-from edge.safety.memory import DAY_S, HOUR_S, SafetyMemory, SafetyView, heat_wh, water_s
+from edge.safety.memory import DAY_S, HOUR_S, AirRise, SafetyMemory, SafetyView, heat_wh, water_s
 from edge.safety.thermal_supervision import FAN_NO_EFFECT, HEATER_STUCK_ON
 
 OVER_TEMPERATURE = "over_temperature"
@@ -20,6 +20,8 @@ CUTOFF_TRIPS = HOT_TRIPS | {FAN_NO_EFFECT}  # air that a fan does not cool may h
 CLOCK_SLACK_S = 0.5  # a tick may begin this much early without breaking a relay time
 LED_LEVELS = 100
 VALVE_STEPS_PER_S = 10
+NO_RISE = AirRise()
+RISE_MARGIN = 1.3  # above the fastest rise so far: mains and room differ, and losses fell into its step
 ROUNDING = 1e-9  # 0.3 is 5.999999999999999 levels of 1/20
 
 
@@ -184,17 +186,33 @@ def energy_duty(
 
 
 def duty_below_trip(
-    temp_air: float | None, trip_c: float, dt_s: float, box: BoxBounds, held_duty: float
+    temp_air: float | None,
+    trip_c: float,
+    dt_s: float,
+    box: BoxBounds,
+    held_duty: float,
+    sent_duty: float = 0.0,
+    rise: AirRise = NO_RISE,
 ) -> float:
     """Heater duty that keeps a light box below the trip through the next `dt_s`, 0..1.
 
+    Two bounds: the heat that the box can store, where known, and the fastest rise of its air, where
+    one was measured. Heat in the element lets the air rise on at its present rate for the element's lag.
+
     held_duty : mean of the last minutes; only heat beyond it warms the air further
+    sent_duty : of the last command, which goes with the present rate
     """
-    if temp_air is None or box.capacity_min_j_k <= 0.0:  # `air_unknown` forces; an unknown box has no bound
+    if temp_air is None:  # `air_unknown` forces
         return 1.0
-    full_k = box.power_max_w * dt_s / box.capacity_min_j_k
-    left_k = max(0.0, trip_c - temp_air)
-    return min(1.0, held_duty + left_k / full_k) if full_k > 0.0 else 1.0
+    coasts_k = max(rise.rate_k_s, 0.0) * box.element_lag_s
+    left_k = max(0.0, trip_c - max(temp_air, rise.highest_c))
+    if not (coasts_k <= 0.0 or coasts_k < left_k):  # NaN lands here too
+        return 0.0
+    least_j_k, seen_k = box.capacity_min_j_k, RISE_MARGIN * rise.fastest_k_s * dt_s
+    full_k = box.power_max_w * dt_s / least_j_k if least_j_k > 0.0 else 0.0
+    stored = held_duty + (left_k - coasts_k) / full_k if full_k > 0.0 else math.inf
+    seen = sent_duty + (left_k - coasts_k) / seen_k if seen_k > 0.0 else math.inf
+    return min(1.0, stored, seen)
 
 
 def ramp_duty(s: RuleInput) -> float:
@@ -230,9 +248,15 @@ HEATER_LIMITS = (
     Limit(
         "heater.below_trip",
         lambda s: duty_below_trip(
-            s.temp_air, s.settings.temp_trip_c, s.view.dt_s, s.view.box, s.memory.thermal.heat
+            s.temp_air,
+            s.settings.temp_trip_c,
+            s.view.dt_s,
+            s.view.box,
+            s.memory.thermal.heat,
+            s.memory.sent.heater_duty,
+            s.memory.rise,
         ),
-        "more would trip within this step",
+        "more would bring the air to the trip",
     ),
     Limit("heater.slew", ramp_duty, "rises too fast"),
 )

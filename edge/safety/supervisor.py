@@ -21,6 +21,7 @@ from edge.safety.memory import (
     SafetyVerdict,
     SafetyView,
     book_heat,
+    follow_air,
     remember,
 )
 from edge.safety.rules import (
@@ -74,6 +75,9 @@ def supervise(
     """Return the part of `wanted` that may be sent now, why it differs, and the new memory."""
     temp_air = known_value(view, "temp_air", settings.reading_age_max_s)
     memory = book_heat(memory, view.now_s, view.dt_s, view.box.heater_w)
+    # Hands are inside during maintenance: an open box tells nothing of its heater.
+    seen_c = None if view.maintenance else temp_air
+    memory = replace(memory, rise=follow_air(memory.rise, view.now_s, view.dt_s, seen_c))
     # Trips first: the limits below act on a trip of this very tick.
     memory, events = _latch(view, memory, settings, temp_air)
     situation = RuleInput(view, memory, settings, temp_air)
@@ -101,7 +105,9 @@ def supervise(
 
 def follow_calibration(memory: SafetyMemory, air_k: float, room_k: float) -> SafetyMemory:
     """Return the memory where calibrations lift the readings of air and room from now on [K]."""
-    return replace(memory, thermal=shift_readings(memory.thermal, air_k, room_k))
+    seen = memory.rise
+    rise = replace(seen, air_c=seen.air_c + air_k, highest_c=seen.highest_c + air_k)
+    return replace(memory, thermal=shift_readings(memory.thermal, air_k, room_k), rise=rise)
 
 
 def planning_limits(
@@ -150,7 +156,10 @@ def _latch(
     """Trips that begin now."""
     memory, findings = _look(view, memory, temp_air)
     if temp_air is not None and not temp_air < settings.temp_trip_c:
-        text = f"air {temp_air:.1f} °C, trip at {settings.temp_trip_c:g} °C"
+        text = (
+            f"air {temp_air:.1f} °C, trip at {settings.temp_trip_c:g} °C: look at heater, fan and lid, "
+            "let the air cool, then clear the trip (`greenhouse clear-trip`)"
+        )
         findings = (PartFault(OVER_TEMPERATURE, text), *findings)
     new = tuple(finding for finding in findings if finding.trip not in memory.trips)
     events = tuple(

@@ -44,12 +44,53 @@ def test_the_heater_is_off_at_the_limit_of_the_air():
     assert decided(temp=40.0, reference=45.0, limits=ControlLimits(temp_air_max_c=40.0)).heater_duty == 0.0
 
 
-def test_the_integral_does_not_wind_up():
-    pid = Pid()
+def parts(*steps: dict) -> list[tuple[float, float, float]]:
+    """Proportional, integral and derivative part after each decision of one PID, a minute apart."""
+    pid, found = Pid(kp=0.5, ki=0.0005, kd=80.0), []
+    for k, step in enumerate(steps):
+        why = pid.decide(context(now_s=60.0 * k, **step)).why
+        found.append((why["proportional"], why["integral"], why["derivative"]))
+    return found
+
+
+SENT = Command(heater_duty=0.4)
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        # A takeover begins with the duty sent last; what the error asks for on top is not the integral's.
+        ([{"temp": 26.0, "last_sent": SENT}], (0.0, 0.4, 0.0)),
+        ([{"temp": 25.5, "last_sent": SENT}], (0.25, 0.15, 0.0)),
+        ([{"temp": 24.0, "last_sent": SENT}], (1.0, 0.0, 0.0)),
+        ([{"temp": 27.0, "last_sent": Command(heater_duty=0.8)}], (-0.5, 0.8, 0.0)),
+        # The integral, 0.0005 / (K s) for a minute, where the output was sent as it was.
+        ([{"temp": 25.5, "last_sent": SENT}] * 2, (0.25, 0.165, 0.0)),
+        # The integral rises to the duty sent; the derivative has a filter of 80 / 0.5 / 20 = 8 s: a fall of 0.5 K in 60 s is 80 * 0.5 / 68.
+        ([{"temp": 26.0, "last_sent": SENT}, {"temp": 25.5, "last_sent": SENT}], (0.25, 0.4, 40 / 68)),
+        # A step of the reference is no rate of the air.
+        ([{"temp": 26.0, "last_sent": SENT}, {"temp": 26.0, "reference": 27.0, "last_sent": SENT}],
+         (0.5, 0.4, 0.0)),
+        # 0.4 was asked for and nothing sent: back by 60 s of sqrt(80 / 0.0005) = 400 s.
+        ([{"temp": 26.0, "last_sent": SENT}, {"temp": 26.0}], (0.0, 0.4 - 0.15 * 0.4, 0.0)),
+        # 2.0 was asked for, 1.0 sent: 0.12 of the error less 0.15 of the cut, not below no heat.
+        ([{"temp": 22.0}, {"temp": 22.0, "last_sent": Command(heater_duty=1.0)}], (2.0, 0.0, 0.0)),
+        # Air above the set point that asks for less than nothing does not raise the integral.
+        ([{"temp": 28.0}] * 5, (-1.0, 0.0, 0.0)),
+    ],
+)  # fmt: skip
+def test_each_part_is_the_textbooks(steps, expected):
+    assert parts(*steps)[-1] == pytest.approx(expected)
+
+
+def test_heat_that_was_cut_does_not_wind_up():
+    """A heater at its largest duty for three hours leaves no integral behind; simple-pid left all of it."""
+    pid, full = Pid(), Command(heater_duty=1.0)
     for k in range(200):
-        pid.decide(context(temp=20.0, reference=30.0, now_s=60.0 * k))
-    why = pid.decide(context(temp=30.0, reference=30.0, now_s=60.0 * 200)).why
-    assert 0.0 <= why["integral"] <= 1.0
+        pid.decide(context(temp=20.0, reference=30.0, now_s=60.0 * k, last_sent=full))
+    decision = pid.decide(context(temp=30.0, reference=30.0, now_s=60.0 * 200, last_sent=full))
+    assert decision.why["integral"] == 0.0
+    assert decision.command.heater_duty == 0.0
 
 
 def test_the_same_times_give_the_same_commands_however_fast_the_machine():

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import pytest
 from hypothesis import given, settings
@@ -24,7 +24,7 @@ from edge.config.settings import SafetySettings
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command, Reading, ReadingQuality, Severity
 from edge.safety.box_bounds import PAPER_BOX, unknown_box
-from edge.safety.memory import DAY_S, Dose, book_heat, heat_wh, survives_as, water_s
+from edge.safety.memory import DAY_S, AirRise, Dose, book_heat, heat_wh, survives_as, water_s
 from edge.safety.relay_proof import EVERY_S, RelayProof
 from edge.safety.rules import duty_below_trip, energy_duty
 from edge.safety.supervisor import (
@@ -369,6 +369,109 @@ def test_a_light_box_near_its_limit_gets_less_heat():
     held = SafetyMemory(time_s=NOW - 60.0, thermal=ThermalMemory(heat=0.7))
     assert judge(FULL, view(air=38.0, box=LIGHT), held).sent == FULL
     assert judge(FULL, view(air=32.0, box=LIGHT)).sent == FULL
+
+
+UNKNOWN = unknown_box(60.0, "none")
+QUICK = AirRise(NOW, 38.0, 38.0, 0.0, 0.1)  # at the fastest 6 K in a minute; by its margin 7.8 K
+
+
+@pytest.mark.parametrize(
+    ("temp_air", "dt_s", "sent", "rise", "duty"),
+    [
+        (38.0, 60.0, 0.0, QUICK, 5.0 / 7.8),
+        (38.0, 60.0, 0.2, QUICK, 0.2 + 5.0 / 7.8),
+        (38.0, 60.0, 0.5, QUICK, 1.0),
+        (38.0, 30.0, 0.0, QUICK, 1.0),
+        (42.9, 6.0, 0.0, QUICK, 0.1 / 0.78),
+        (38.0, 0.0, 0.0, QUICK, 1.0),
+        (43.0, 60.0, 0.3, QUICK, 0.3),
+        # Air that has just fallen, as under an open lid, comes back.
+        (30.0, 60.0, 0.0, QUICK, 5.0 / 7.8),
+        (39.0, 60.0, 0.0, QUICK, 4.0 / 7.8),
+        (38.0, 60.0, 0.0, AirRise(NOW, 38.0, 38.0, -0.1, 0.1), 5.0 / 7.8),
+        # Heat in the element goes on for its lag of 300 s: 0.01 K/s are 3 K.
+        (38.0, 60.0, 0.0, AirRise(NOW, 38.0, 38.0, 0.01, 0.1), 2.0 / 7.8),
+        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, 5.0 / 300.0, 0.1), 0.0),
+        (43.0, 60.0, 1.0, AirRise(NOW, 43.0, 43.0, 0.5 / 300.0, 0.1), 0.0),
+        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, 0.0166, 0.1), 1.0),
+        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, math.nan, 0.1), 0.0),
+        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, math.inf, 0.1), 0.0),
+        (38.0, 60.0, 0.0, AirRise(), 1.0),
+        (None, 60.0, 0.0, QUICK, 1.0),
+    ],
+)
+def test_the_measured_rise_of_an_unknown_box_keeps_its_heat_below_the_trip(temp_air, dt_s, sent, rise, duty):
+    assert duty_below_trip(temp_air, 43.0, dt_s, UNKNOWN, 0.9, sent, rise) == pytest.approx(duty)
+
+
+def test_the_tighter_of_both_bounds_counts():
+    both = [duty_below_trip(38.0, 43.0, 60.0, box, 0.0, 0.0, QUICK) for box in (LIGHT, UNKNOWN)]
+    assert both == pytest.approx([0.5, 5.0 / 7.8])
+    assert duty_below_trip(38.0, 43.0, 60.0, LIGHT, 0.9, 0.0, QUICK) == pytest.approx(5.0 / 7.8)
+    rising = AirRise(NOW, 38.0, 38.0, 0.01)
+    assert duty_below_trip(38.0, 43.0, 60.0, LIGHT, 0.0, 0.0, rising) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("before", "passed_s", "temp_air", "after"),
+    [
+        (AirRise(), 60.0, 30.0, AirRise(NOW, 30.0, 30.0)),
+        (AirRise(None, fastest_k_s=0.1), 60.0, 30.0, AirRise(NOW, 30.0, 30.0, 0.0, 0.1)),
+        (AirRise(0.0, 27.0, 27.0), 60.0, 30.0, AirRise(NOW, 30.0, 30.0, 0.05, 0.05)),
+        (AirRise(0.0, 33.0, 35.0), 60.0, 30.0, AirRise(NOW, 30.0, 33.0, -0.05, 0.0)),
+        (AirRise(0.0, 27.0, 27.0), 30.0, 30.0, AirRise(NOW, 30.0, 30.0, 0.1, 0.1)),
+        (AirRise(0.0, 27.0, 27.0, 0.3, 0.3), 29.0, 30.0, AirRise(NOW - 29.0, 27.0, 27.0, 0.3, 0.3)),
+        (AirRise(0.0, 27.0, 27.0, 0.3, 0.3), 0.0, 30.0, AirRise(NOW, 27.0, 27.0, 0.3, 0.3)),
+        (AirRise(0.0, 27.0, 27.0, 0.0, 0.1), 60.0, None, AirRise(fastest_k_s=0.1)),
+        (AirRise(0.0, 27.0, 27.0), 150.0, 30.0, AirRise(NOW, 30.0, 30.0, 0.02, 0.02)),
+        (AirRise(0.0, 27.0, 27.0), 151.0, 30.0, AirRise(NOW, 30.0, 30.0)),  # a gap
+        (AirRise(0.0, 27.0, 27.0), -1.0, 30.0, AirRise(NOW, 30.0, 30.0)),
+        # In six hours 0.1 K/s fades to 0.1 / e: this is a 360th of them.
+        (AirRise(0.0, 30.0, 30.0, 0.0, 0.1), 60.0, 30.0, AirRise(NOW, 30.0, 30.0, 0.0, 0.09972)),
+    ],
+)  # fmt: skip
+def test_the_rise_of_the_air_is_followed_over_half_a_minute(before, passed_s, temp_air, after):
+    known = before.time_s is not None
+    before = replace(before, time_s=NOW - passed_s) if known else before
+    found = judge(seen=view(air=temp_air), memory=SafetyMemory(rise=before)).memory.rise
+    assert found.time_s == after.time_s
+    assert astuple(found)[1:] == pytest.approx(astuple(after)[1:], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("dt_s", "passed_s", "is_followed"), [(200.0, 500.0, True), (200.0, 501.0, False), (10.0, 149.0, True)]
+)
+def test_steps_of_minutes_are_no_gap(dt_s, passed_s, is_followed):
+    memory = SafetyMemory(rise=AirRise(NOW - passed_s, 20.0, 20.0))
+    assert (judge(seen=view(dt_s=dt_s), memory=memory).memory.rise.rate_k_s > 0.0) is is_followed
+
+
+def test_hands_in_the_box_teach_nothing_of_its_heater():
+    memory = SafetyMemory(rise=AirRise(NOW - 60.0, 10.0, 10.0))
+    assert judge(seen=view(maintenance=True), memory=memory).memory.rise == AirRise()
+
+
+def test_a_calibration_is_no_rise():
+    memory = follow_calibration(SafetyMemory(rise=AirRise(NOW, 25.0, 26.0, 0.01, 0.1)), 2.0, 0.5)
+    assert memory.rise == AirRise(NOW, 27.0, 28.0, 0.01, 0.1)
+
+
+def test_a_quick_unknown_box_is_not_heated_into_the_trip():
+    """60 s of full heat lift this air by 4 K; a controller that asks for all of it never gets to 43 °C."""
+    memory, air_c, hottest_c = SafetyMemory(), 30.0, 0.0
+    for k in range(120):
+        seen = view(
+            air=Reading("temp_air", air_c, NOW + 60.0 * k, ReadingQuality.GOOD),
+            room=None,
+            now_s=NOW + 60.0 * k,
+            box=UNKNOWN,
+        )
+        wanted = Command(heater_duty=float(air_c < 39.9))
+        verdict = judge(wanted, seen, memory, energy_hour_max_wh=400.0)
+        memory = verdict.memory
+        air_c += 4.4 * verdict.sent.heater_duty - 0.02 * (air_c - 21.0)
+        hottest_c = max(hottest_c, air_c)
+    assert 39.0 < hottest_c < 42.9 and memory.trips == ()
 
 
 # Heater: largest duty, slew, energy
