@@ -38,6 +38,7 @@ BENCHES = {
     "board_fuzz": Bench(("--bytes", "3e6")),
     "fleet_rollout": Bench(("--seeds", "1")),
     "boxes": Bench(("--boxes", "9", "--rows", "PID", "MPC-Twin-P")),
+    "incubator": Bench(("--rows", "PID", "--minutes", "120")),
     "unchanged": Bench(("--only", "golden vectors"), keeps_its_table=True),
 }  # fmt: skip
 
