@@ -32,7 +32,7 @@ from edge.bundle.predictors import loader
 from edge.bundle.roles import activate
 from edge.bundle.sign import ManifestFacts, build_bundle, generate_key
 from edge.bundle.store import BundleStore
-from edge.config.settings import ControlSettings, DriftSettings, ReferenceSettings, Settings
+from edge.config.settings import BoxSettings, ControlSettings, DriftSettings, ReferenceSettings, Settings
 from edge.core.controller import Controller
 from edge.core.errors import GreenhouseError
 from edge.formats.profile_file import read_profile
@@ -111,9 +111,7 @@ def rig_settings(folder: Path, twin: TwinFile) -> Settings:
     write_twin_file(twin, path)
     rig = settings_in(folder, Settings(timezone="UTC"))
     safety = replace(rig.safety, energy_hour_max_wh=400.0, energy_day_max_wh=9600.0)
-    return replace(
-        rig, box=replace(rig.box, twin=str(path)), safety=safety, drift=DriftSettings(enabled=False)
-    )
+    return replace(rig, box=BoxSettings(str(path)), safety=safety, drift=DriftSettings(enabled=False))
 
 
 def commission(facts: BoxFacts, seed: int, minutes: float) -> Commissioned:

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.config.settings import BoxSettings
 from edge.core.errors import ConfigError, DataError
-from edge.safety.box_bounds import PAPER_BOX, BoxBounds, unknown_box
+from edge.safety.box_bounds import PAPER_BOX, BoxBounds, paper_box, unknown_box
 from edge.safety.thermal_supervision import (
     COOLED_SHARE,
     COOLING_S,
@@ -52,14 +53,17 @@ LONGER = 1.5  # so many times the rise of TESTS_S comes in a day
 SURE = 1.3  # a healthy twin must stay so many times away from a finding
 
 
-def bounds_of(path: str) -> BoxBounds:
-    """Return the bounds of the box whose twin file this is; "" is the paper's. Errors: ConfigError"""
-    if not path:
-        return PAPER_BOX
+def bounds_of(box: BoxSettings) -> BoxBounds:
+    """Return the bounds of a box: its twin file's, else the paper's with its heater. Errors: ConfigError"""
+    if not box.twin:
+        return paper_box(box.heater_w)
     try:
-        return box_bounds(read_twin_file(Path(path)))
+        bounds = box_bounds(read_twin_file(Path(box.twin)))
     except DataError as error:
         raise ConfigError(f"box.twin: {error}") from error
+    if box.heater_w not in (0.0, bounds.heater_w):
+        raise ConfigError(f"box.heater_w: {box.heater_w:g} W, but {box.twin} says {bounds.heater_w:g} W")
+    return bounds
 
 
 def description_of(path: Path) -> TwinFile:

@@ -18,7 +18,7 @@ from edge.app.nightly_diagnosis import LATE, LOG, BackgroundFailure, BackgroundP
 from edge.app.request_routes import ShowState
 from edge.app.step_test_record import STEP_S, TEST_MINUTES, record, test_settings
 from edge.app.step_test_rows import LEARN_MIN, STOPPED
-from edge.config.settings import Settings
+from edge.config.settings import BoxSettings, Settings
 from edge.core.clock import Clock
 from edge.core.errors import GreenhouseError, RequestError
 from edge.core.messages import TickRecord
@@ -160,7 +160,7 @@ class CommissionDesk:
             write_twin_file(start, folder / "box.yaml")
         except OSError as error:
             raise RequestError(f"{folder}: can't be written: {error.strerror or error}") from None
-        settings = replace(self._settings, box=replace(self._settings.box, twin=str(folder / "box.yaml")))
+        settings = replace(self._settings, box=BoxSettings(str(folder / "box.yaml")))
 
         def show(tick: TickRecord, minutes_left: float) -> None:
             made = f"{self._minutes - minutes_left:.0f} of {self._minutes:.0f} min"

@@ -137,7 +137,7 @@ class Daemon:
         first, why = models.first_controller()
         # Only the machine's clock goes on from process to process.
         boot = boot_id() if isinstance(self.clock, RealClock) else ""
-        limits, box = restore(LIMITS, settings), bounds_of(settings.box.twin)
+        limits, box = restore(LIMITS, settings), bounds_of(settings.box)
         now = Moment(boot, self.clock.now(), self.clock.utc())
         standing, chosen = carry_on(restore(STANDING, settings), limits, now, box.heater_w), ""
         # An experiment may lack models that its rig has, so the orders that come back after it are these.

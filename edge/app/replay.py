@@ -97,7 +97,7 @@ def replay(
     start_s = float(run.columns["time_s"][0])
     clock = ReplayClock(start_s, run.start_utc or 0.0)
     step_s = settings.control.step_s
-    tape, inbox, box = Tape(), Inbox(), bounds_of(settings.box.twin)
+    tape, inbox, box = Tape(), Inbox(), bounds_of(settings.box)
     rig = Rig(
         settings=settings,
         clock=clock,

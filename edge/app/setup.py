@@ -265,7 +265,7 @@ def settings_of(before: Settings, answers: SetupAnswers, report_period_s: float,
         reference=replace(reference, min_c=a.min_c, max_c=a.max_c, reference_c=a.reference_c),
         sensor_health=replace(before.sensor_health, sample_period_s=report_period_s),
         safety=safety,
-        box=replace(before.box, twin=str(twin)),
+        box=replace(before.box, twin=str(twin), heater_w=0.0),  # the twin file has it
         mqtt=replace(before.mqtt, rig=rig_name(before)),
     )
 

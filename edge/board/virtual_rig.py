@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from edge.config.settings import Settings
+from edge.config.settings import BoxSettings, Settings
 from edge.core.errors import GreenhouseError
+from edge.core.names import HEATER_MAX_W
 from edge.core.processes import die_with_parent, end_process
 
 BOARD = "board"  # name of its port
@@ -38,6 +39,7 @@ def settings_in(folder: Path, settings: Settings) -> Settings:
         bundle=replace(settings.bundle, path=str(folder / "bundles"), trusted_keys=str(folder / "keys")),
         drift=replace(settings.drift, reports=str(folder / "diagnoses")),
         mqtt=replace(settings.mqtt, enabled=False),
+        box=settings.box if settings.box != BoxSettings() else BoxSettings(heater_w=HEATER_MAX_W),
     )
 
 

@@ -43,7 +43,8 @@ def problems(settings: Settings) -> Iterator[ConfigProblem]:
     """Everything that is wrong with what `settings` name on this machine."""
     yield from _problems_of(lambda: configured_model(settings.control))
     yield from _problems_of(lambda: make_reference(settings.reference))
-    yield from _problems_of(lambda: bounds_of(settings.box.twin))
+    yield from _problems_of(lambda: bounds_of(settings.box))
+    yield from _heater(settings)
     yield from _port(settings.board.port)
     yield from _data_file("state_file", Path(settings.state_file), _state_problem)
     yield from _data_file("history.path", Path(settings.history.path), _history_problem)
@@ -66,6 +67,13 @@ def _problems_of(check: Callable[[], object]) -> Iterator[ConfigProblem]:
         check()
     except GreenhouseError as error:
         yield ConfigProblem(str(error), DENIED not in str(error))
+
+
+def _heater(settings: Settings) -> Iterator[ConfigProblem]:
+    """Warn of a heater of unknown power; refuse one on a rig that has run before: it would stop heating."""
+    if not (settings.box.twin or settings.box.heater_w) and settings.safety.heater_max_duty > 0.0:
+        text = "box.heater_w: the heater's power is not known, so this rig does not heat: name it [W]"
+        yield ConfigProblem(text, _mode(settings.state_file) is not None)
 
 
 def _secret(name: str, key: str) -> Iterator[ConfigProblem]:

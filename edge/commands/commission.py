@@ -20,7 +20,7 @@ from edge.commands.arguments import number, whole, writing
 from edge.commands.bundle import change, install, settings_of, store_of
 from edge.commands.experiment import rig_of
 from edge.commands.hands import Hands
-from edge.config.settings import Settings
+from edge.config.settings import BoxSettings, Settings
 from edge.core.controller_names import MPC_TWIN
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import TickRecord
@@ -163,7 +163,7 @@ def _record(arguments: argparse.Namespace, start: TwinFile, folder: Path) -> Rec
         box = Path(temporary) / "twin.yaml"
         write_twin_file(start, box)
         with rig_of(arguments) as (settings, clock), Hands(Path(settings.control_socket.path), print):
-            settings = test_settings(replace(settings, box=replace(settings.box, twin=str(box))))
+            settings = test_settings(replace(settings, box=BoxSettings(str(box))))
             has_fan = start.fan_role != "none"
             save = partial(save_run, path, before)
             recorded = save(record(settings, clock, has_fan, minutes, _Show(), save=save))

@@ -12,11 +12,12 @@ import numpy as np
 from edge.app.replay import REPLAYED, Skill, decisions_digest, fired_limits, replay, score
 from edge.commands.arguments import add_absent_columns, number
 from edge.config import loading as config
-from edge.config.settings import Settings
+from edge.config.settings import BoxSettings, Settings
 from edge.core.controller_names import MPC_TWIN
 from edge.core.errors import DataError
 from edge.core.hard_limits import REFERENCE_MAX_C, REFERENCE_MIN_C
 from edge.core.messages import TickRecord
+from edge.core.names import HEATER_MAX_W
 from edge.formats.atomic_file import make_folder, write_atomically
 from edge.formats.input_file import TABLE, read_text
 from edge.formats.reader import DocumentError, parse_json
@@ -112,7 +113,7 @@ def settings_for(step_s: float, controller: str, reference_c: float, twin: Path 
         settings,
         control=replace(settings.control, step_s=step_s, controller=controller),
         reference=replace(settings.reference, reference_c=reference_c),
-        box=replace(settings.box, twin="" if twin is None else str(twin)),
+        box=BoxSettings(heater_w=HEATER_MAX_W) if twin is None else BoxSettings(str(twin)),
     )
 
 

@@ -233,7 +233,9 @@ def _files(
     """
     twin = config.absolute().with_name("twin.yaml")
     settings = setup.settings_of(before, answers, report_period_s, twin)
-    _check(config, replace(settings, box=BoxSettings()))  # its twin file is not there yet
+    _check(
+        config, replace(settings, box=BoxSettings(heater_w=answers.heater_w or 0.0))
+    )  # its twin file is not there yet
     if settings.control.controller != before.control.controller:
         say("The packaged models are those of the paper's box: at first the controller `rules` decides.")
     changed = [f"{key}: {old} -> {new}" for key, old, new in changed_keys(settings, before)]

@@ -466,7 +466,15 @@ class BoxSettings(Section):
     """The greenhouse itself."""
 
     twin: str = text(
-        "", "twin file of this box, from which safety takes its bounds; empty: the paper's 0.15 m3 and 100 W"
+        "",
+        "twin file of this box, from which safety takes its bounds; empty: the paper's 0.15 m3 and heater_w",
+    )
+    heater_w: float = number(
+        0.0,
+        "power of the heater at full duty; 0: what the twin file says, and no heat without one",
+        "W",
+        0.0,
+        1e4,
     )
 
 

@@ -3,7 +3,7 @@
 The defaults are those of the paper's box. Another box has its own, with margins, from its twin file.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from edge.core.names import HEATER_MAX_W
 
@@ -40,6 +40,11 @@ class BoxBounds:
     fan_role: str = "exhaust"  # of the twin file
 
     @property
+    def has_heater(self) -> bool:
+        """False where the heater's power is not known: then nothing bounds its heat."""
+        return self.heater_w > 0.0
+
+    @property
     def is_known(self) -> bool:
         """False for a box of which heater and fan alone are known."""
         return self.capacity_max_j_k < NO_BOUND
@@ -48,6 +53,18 @@ class BoxBounds:
 UNKNOWN_RATE_K_S = 2.0  # 20 K at once, behind a sensor of 10 s
 NO_BOUND = 1e9  # finite, so that its product with nothing is nothing
 PAPER_BOX = BoxBounds()
+
+
+def paper_box(heater_w: float) -> BoxBounds:
+    """Return the bounds of the paper's box with a heater of this power, 0 where no one has named one."""
+    times = heater_w / HEATER_MAX_W
+    return replace(
+        PAPER_BOX,
+        heater_w=heater_w,
+        power_min_w=times * PAPER_BOX.power_min_w,
+        power_max_w=times * PAPER_BOX.power_max_w,
+        air_rate_max_k_s=max(times, 1.0) * PAPER_BOX.air_rate_max_k_s,
+    )
 
 
 def unknown_box(heater_w: float, fan_role: str) -> BoxBounds:

@@ -11,7 +11,16 @@ from edge.config.settings import SafetySettings
 from edge.core.messages import ReadingQuality
 from edge.core.names import HEATER_LEVELS
 from edge.safety.box_bounds import BoxBounds
-from edge.safety.memory import DAY_S, HOUR_S, AirRise, SafetyMemory, SafetyView, heat_wh, water_s
+from edge.safety.memory import (
+    DAY_S,
+    HOUR_S,
+    AirRise,
+    SafetyMemory,
+    SafetyView,
+    heat_wh,
+    mean_duty,
+    water_s,
+)
 from edge.safety.thermal_supervision import FAN_NO_EFFECT, HEATER_STUCK_ON
 
 OVER_TEMPERATURE = "over_temperature"
@@ -20,6 +29,7 @@ CUTOFF_TRIPS = HOT_TRIPS | {FAN_NO_EFFECT}  # air that a fan does not cool may h
 CLOCK_SLACK_S = 0.5  # a tick may begin this much early without breaking a relay time
 LED_LEVELS = 100
 VALVE_STEPS_PER_S = 10
+DOUBT_S = 600.0  # then a box that is really cold has had time to show it by its other sensors
 NO_RISE = AirRise()
 RISE_MARGIN = 1.3  # above the fastest rise so far: mains and room differ, and losses fell into its step
 ROUNDING = 1e-9  # 0.3 is 5.999999999999999 levels of 1/20
@@ -112,6 +122,11 @@ def too_hot(s: RuleInput) -> str:
     if s.temp_air is None or s.temp_air < limit:
         return ""
     return f"air {s.temp_air:.1f} °C, limit {limit:g} °C"
+
+
+def heater_unknown(s: RuleInput) -> str:
+    """Force an output while the heater's power is not known: then no bound on its heat means anything."""
+    return "" if s.view.box.has_heater else "the heater's power is not known: set box.heater_w"
 
 
 def relay_proof(s: RuleInput) -> str:
@@ -215,6 +230,15 @@ def duty_below_trip(
     return min(1.0, stored, seen)
 
 
+def doubted_duty(s: RuleInput) -> float:
+    """Heater duty while a fall of the air is contradicted: what held the air, and nothing after DOUBT_S."""
+    since_s = s.view.air_doubted_since_s
+    if since_s is None:
+        return math.inf
+    held = mean_duty(s.memory, s.view.now_s, s.view.box.heater_w)
+    return held if 0.0 <= s.view.now_s - since_s < DOUBT_S else 0.0
+
+
 def ramp_duty(s: RuleInput) -> float:
     """Heater duty that the slew limit allows now."""
     last_s = s.memory.time_s
@@ -226,6 +250,7 @@ HEATER_OFF = (
     ForcedOutput("heater.emergency_stop", emergency_stop),
     ForcedOutput("heater.maintenance", maintenance),
     ForcedOutput("heater.link_down", link_down),
+    ForcedOutput("heater.unknown_power", heater_unknown),
     ForcedOutput("heater.tripped", trip),
     ForcedOutput("heater.board_tripped", board_trip),
     ForcedOutput("heater.air_unknown", air_unknown),
@@ -258,6 +283,7 @@ HEATER_LIMITS = (
         ),
         "more would bring the air to the trip",
     ),
+    Limit("heater.air_doubted", doubted_duty, "the air fell at once below the room"),
     Limit("heater.slew", ramp_duty, "rises too fast"),
 )
 FAN_FORCED = (

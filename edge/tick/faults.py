@@ -26,6 +26,19 @@ _ROWS = (
         "heater off, the estimate goes on by model alone",
     ),
     Failure(
+        "air.jump_contradicted",
+        Severity.ALARM,
+        "the air fell at once as no box can",
+        "heat is at most what held it, none after 10 minutes, until air and room agree again, or a person "
+        "accepts the value by `greenhouse clear-trip`; look at the sensor and its plug",
+    ),
+    Failure(
+        "heater.unknown_power",
+        Severity.ALARM,
+        "the heater's power is not known",
+        "no heat until `greenhouse setup`, or a line such as `box: {heater_w: 100}` in edge.yaml, names it",
+    ),
+    Failure(
         "air_sensors.apart",
         Severity.WARNING,
         "the two air sensors disagree",

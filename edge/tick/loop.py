@@ -305,6 +305,7 @@ class Loop:
             utc=utc,
             dt_s=self._step_s,
             box=rig.box,
+            air_doubted_since_s=rig.sensors.air_doubt.since_s if rig.sensors.air_doubt else None,
         )
         verdict = supervise(wanted, view, self._memory, rig.settings.safety)
         if not survives_as(verdict.memory, self._memory):
@@ -334,6 +335,10 @@ class Loop:
         link_up, foreign = self._rig.board.link_up, self._rig.foreign_board()
         note = self._conditions.set
         note("reading.not_good", quality is not ReadingQuality.GOOD, now, utc, quality.value)
+        doubt = self._rig.sensors.air_doubt
+        note("air.jump_contradicted", doubt is not None, now, utc, doubt.words if doubt else "")
+        heats = self._rig.settings.safety.heater_max_duty > 0.0
+        note("heater.unknown_power", heats and not self._rig.box.has_heater, now, utc)
         pair = self._rig.board.air_pair
         apart = pair is not None and pair.are_apart
         note("air_sensors.apart", apart, now, utc, _witness(pair, air, estimate) if pair and apart else "")
@@ -570,11 +575,14 @@ class Loop:
     def _clear_trip(self, request: Request) -> Reply:
         trips, of_board = self._memory.trips, self._board_trip()
         self._memory = clear_trip(self._memory, self._rig.settings.safety, self._temp_air())
+        doubt, self._rig.sensors.air_doubt = self._rig.sensors.air_doubt, None
         warning, left = self._order_board(request), self._board_trip()
         causes = dict.fromkeys(each for each in (*trips, of_board) if each not in ("", *ENDED_BY.values()))
         changed, message = bool(causes), f"Trips are cleared: {', '.join(causes)}."
         if left in causes:
             changed, message = bool(trips), f"The board holds its trip, {left}, as long as its cause lasts."
+        elif not causes and doubt is not None:
+            changed, message = True, "The measured air temperature is accepted."
         elif not causes:
             message = "Nothing changed: no trip is latched."
         return self._answer_keys(changed, message, warning, request)

@@ -14,6 +14,7 @@ from edge.config.settings import CalibrationSettings, SensorCalibration, SensorH
 from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.safety.box_bounds import PAPER_BOX, BoxBounds
+from edge.safety.thermal_supervision import COLD_K
 from edge.tick.calibration import WINDOW_S, CalibrationChange, RawMinute, measurement
 from edge.tick.stillness import Stillness, is_stuck, watch
 
@@ -40,11 +41,23 @@ class Track:
     suspects: tuple[Reading, ...] = ()  # samples in a row that jumped
     jumps_s: tuple[float, ...] = ()  # times of the samples of the last AVERAGE_S that jumped
     stepped: bool = False  # a jump was confirmed since the last reading: true or not, it is worth an alarm
+    fell_from: float | None = None  # value before it, where the jump went down
     still_since_s: float = math.inf  # since when the raw value has been exactly the same
 
 
+@dataclass(frozen=True, slots=True)
+class AirDoubt:
+    """A fall of the air that the box cannot have made, as the room is warmer."""
+
+    since_s: float
+    words: str
+
+
 class SensorHealth:
-    """The tracks of all signals."""
+    """The tracks of all signals.
+
+    air_doubt : stands until air and room agree again, or a person accepts the value
+    """
 
     def __init__(
         self, settings: SensorHealthSettings, calibration: CalibrationSettings, box: BoxBounds = PAPER_BOX
@@ -60,6 +73,7 @@ class SensorHealth:
             "temp_ambient": Pace(settings.air_jump_k, ROOM_RATE_MAX_K_S),
         }
         self._still = Stillness()
+        self.air_doubt: AirDoubt | None = None
 
     def readings(
         self, samples: Sequence[Mapping[str, Reading]], now: float, driven: Command
@@ -70,10 +84,11 @@ class SensorHealth:
         driven : what the board has driven since the last call
         """
         self.take(samples)
-        result = {}
+        result, fell_from = {}, self._tracks["temp_air"].fell_from
         for name, track in self._tracks.items():
             result[name] = assess(name, track, now, self._settings, getattr(self._calibration, name))
-            self._tracks[name] = replace(track, stepped=False)
+            self._tracks[name] = replace(track, stepped=False, fell_from=None)
+        self._doubt_air(fell_from, result["temp_air"], result["temp_ambient"], now)
         result["temp_air"] = self._unless_stuck(result["temp_air"], result["temp_ambient"], now, driven)
         self._is_stuck = result["temp_air"].quality is ReadingQuality.STUCK
         return result
@@ -107,6 +122,17 @@ class SensorHealth:
             for name, pair in pairs.items()
             if pair[0] != pair[1]
         ]
+
+    def _doubt_air(self, fell_from: float | None, air: Reading, room: Reading, now: float) -> None:
+        """Doubt air that fell at once far below the room: nothing in the box cools that much."""
+        if air.value is None or room.value is None or room.quality is not ReadingQuality.GOOD:
+            return
+        if not air.value < room.value - COLD_K:
+            self.air_doubt = None if air.quality is ReadingQuality.GOOD else self.air_doubt
+        elif fell_from is not None and self.air_doubt is None:
+            before_c = measurement(self._calibration.temp_air, fell_from)
+            words = f"from {before_c:.1f} to {air.value:.1f} °C, while the room has {room.value:.1f} °C"
+            self.air_doubt = AirDoubt(now, words)
 
     def _unless_stuck(self, air: Reading, room: Reading, now: float, driven: Command) -> Reading:
         """Return the air's reading, called stuck where the box must have moved it."""
@@ -157,7 +183,10 @@ def _suspect(track: Track, sample: Reading, pace: Pace) -> Track:
     suspects = (*track.suspects, sample) if agree else (sample,)
     if len(suspects) < CONFIRM_SAMPLES:
         return replace(track, suspects=suspects)
-    return _take(replace(track, stepped=True, accepted=()), suspects, sample.time_s)
+    before = track.accepted[-1].value if track.accepted else None
+    assert sample.value is not None  # it is good
+    fell_from = before if before is not None and sample.value < before else track.fell_from
+    return _take(replace(track, stepped=True, fell_from=fell_from, accepted=()), suspects, sample.time_s)
 
 
 def _accept(track: Track, samples: Sequence[Reading]) -> Track:

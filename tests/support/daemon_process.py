@@ -160,6 +160,7 @@ def configuration(folder: Path, mqtt_port: int | None) -> dict[str, Any]:
         "control": {"step_s": 1, "model": str(model)},
         "reference": {"kind": "constant", "reference_c": 32.0},
         "safety": {"heater_rise_per_s": 1.0},  # full heat from the first tick on
+        "box": {"heater_w": 100.0},
     }
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from edge.app.box import bounds_of, box_bounds
+from edge.config.settings import BoxSettings
 from edge.core.errors import ConfigError
 from edge.safety.box_bounds import PAPER_BOX, unknown_box
 from edge.safety.thermal_supervision import Observation, ThermalMemory, look
@@ -20,11 +21,11 @@ DIAGNOSED = Path("training/results/paper_case/interpolation/twin.yaml")
 
 
 def test_without_a_file_it_is_the_papers_box():
-    assert bounds_of("") is PAPER_BOX
+    assert bounds_of(BoxSettings(heater_w=100.0)) == PAPER_BOX
 
 
 def test_the_papers_box_fitted_has_about_the_bounds_that_stand_for_it():
-    found = bounds_of(str(DIAGNOSED))
+    found = bounds_of(BoxSettings(str(DIAGNOSED)))
     quick = {"air_rate_max_k_s"}  # 0.4 K/s, of a fan in a box 20 K over its room
     for item in (item for item in fields(PAPER_BOX) if item.name not in quick):
         told, stands = getattr(found, item.name), getattr(PAPER_BOX, item.name)
@@ -43,7 +44,7 @@ def described(folder: Path, size: float):
         f"geometry: {{volume_m3: {0.05 * size}, heater_max_w: {40.0 * size}, fan_max_m3_s: {0.004 * size}}}\n"
         f"effects: {{wall_loss: {{UA: {2.0 * size}}}, extra_capacity: {{kC: 12.0}}}}\n"
     )
-    return bounds_of(str(path))
+    return bounds_of(BoxSettings(str(path)))
 
 
 def test_a_box_that_is_not_fitted_yet_tells_its_heater_alone(tmp_path):
@@ -67,7 +68,7 @@ def test_a_fan_that_only_stirs_is_never_called_blocked(tmp_path):
         "geometry: {volume_m3: 0.05, heater_max_w: 40.0}\nfan_role: stirring\n"
         "effects: {wall_loss: {UA: 2.0}, extra_capacity: {kC: 12.0}}\n"
     )
-    assert not bounds_of(str(path)).fan_cools
+    assert not bounds_of(BoxSettings(str(path))).fan_cools
 
 
 def test_a_fan_that_stirs_takes_no_heat_for_sure(tmp_path):
@@ -170,14 +171,14 @@ def test_a_light_box_with_a_strong_fan_may_cool_faster(tmp_path):
     # 109 J/K, 20 K over the room: 36 W/K take 6.6 K/s of the air, and the sensor shows a seventh after 5 s
     assert box_bounds(read_twin_file(path)).air_rate_max_k_s == pytest.approx(1.4, abs=0.1)
     heavy = box_bounds(fitted(tmp_path, "soil_mass: {C_s: 900, G_s: 0.5}, sensor_lag: {tau_s: 300.0}"))
-    assert heavy.air_rate_max_k_s == bounds_of("").air_rate_max_k_s
+    assert heavy.air_rate_max_k_s == PAPER_BOX.air_rate_max_k_s
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"box.twin: .*missing.yaml"):
-        bounds_of(str(tmp_path / "missing.yaml"))
+        bounds_of(BoxSettings(str(tmp_path / "missing.yaml")))
 
 
 def test_bounds_are_plain_numbers():
-    found = bounds_of(str(DIAGNOSED))
+    found = bounds_of(BoxSettings(str(DIAGNOSED)))
     json.dumps({item.name: getattr(found, item.name) for item in fields(found)})

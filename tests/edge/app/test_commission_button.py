@@ -13,7 +13,7 @@ from edge.app.commission_button import CommissionDesk, refusal
 from edge.app.daemon import Daemon
 from edge.app.nightly_diagnosis import LATE, BackgroundFailure
 from edge.board.virtual_rig import settings_in
-from edge.config.settings import Settings
+from edge.config.settings import BoxSettings, Settings
 from edge.core.errors import DataError
 from edge.formats.run_file import read_run
 from edge.sockets.client import request
@@ -43,7 +43,7 @@ def rig(tmp_path: Path) -> Settings:
     (tmp_path / "rig.pem").write_text("key")
     placed = settings_in(tmp_path, Settings(timezone="UTC"))
     bundle = replace(placed.bundle, signing_key=str(tmp_path / "rig.pem"))
-    return replace(placed, bundle=bundle, box=replace(placed.box, twin=str(tmp_path / "box.yaml")))
+    return replace(placed, bundle=bundle, box=BoxSettings(str(tmp_path / "box.yaml")))
 
 
 def changed(path: str, value: object) -> dict:
@@ -86,7 +86,7 @@ def test_a_rig_that_is_held_off_or_blind_is_refused(
 def test_what_is_missing_is_told_before_two_hours_are_spent(rig: Settings, tmp_path: Path) -> None:
     assert "bundle.signing_key" in refusal(replace(rig, bundle=replace(rig.bundle, signing_key="")), READY)
     assert "bundle.path" in refusal(replace(rig, bundle=replace(rig.bundle, path="")), READY)
-    assert "greenhouse setup" in refusal(replace(rig, box=replace(rig.box, twin="")), READY)
+    assert "greenhouse setup" in refusal(replace(rig, box=BoxSettings(heater_w=100.0)), READY)
     (tmp_path / "rig.pem").unlink()
     assert "no such key" in refusal(rig, READY)
     (tmp_path / "box.yaml").write_text("{")

@@ -39,6 +39,7 @@ ERRORS = {
     "drift.reports: {folder}/text: is not a folder": "drift: {{diagnose: always, reports: {folder}/text}}",
     "box.twin: /none/twin.yaml: cannot be read": "box: {{twin: /none/twin.yaml}}",
     "box.twin: {folder}/text: ": "box: {{twin: {folder}/text}}",
+    "box.heater_w: 40 W, but": "box: {{heater_w: 40, twin: edge/models/default_bundle/twin.yaml}}",
     "external.socket: {folder}/text: exists and is not a socket": "external: {{socket: {folder}/text}}",
 }
 
@@ -57,6 +58,7 @@ def folder(tmp_path: Path) -> Path:
 def test_what_would_not_work_is_an_error_with_its_key(
     folder: Path, message: str, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    text += "" if "box: " in text else "\nbox: {{heater_w: 100}}\n"
     (folder / "edge.yaml").write_text(text.format(folder=folder))
     assert main(["check-config", str(folder / "edge.yaml")]) == 2
     told = capsys.readouterr()
@@ -129,3 +131,23 @@ mqtt: {{enabled: true, username: rig, password_file: {tmp_path}/password, tls: t
 """
         )
         assert list(problems(settings)) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "has_run", "is_error"),
+    [
+        ("", False, False),
+        ("", True, True),  # an upgrade: this rig heated before
+        ("box: {heater_w: 100}\n", True, None),
+        ("safety: {heater_max_duty: 0}\n", True, None),
+    ],
+)
+def test_a_heater_of_unknown_power_is_named_before_the_rig_starts(
+    tmp_path: Path, text: str, has_run: bool, is_error: bool | None
+) -> None:
+    if has_run:
+        (tmp_path / "state.json").write_text("{}")
+    found = problems(config.parse(f"state_file: {tmp_path}/state.json\n{text}"))
+    assert [one.is_error for one in found if one.text.startswith("box.heater_w: ")] == (
+        [] if is_error is None else [is_error]
+    )

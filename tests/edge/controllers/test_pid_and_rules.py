@@ -66,7 +66,7 @@ SENT = Command(heater_duty=0.4)
         ([{"temp": 27.0, "last_sent": Command(heater_duty=0.8)}], (-0.5, 0.8, 0.0)),
         # The integral, 0.0005 / (K s) for a minute, where the output was sent as it was.
         ([{"temp": 25.5, "last_sent": SENT}] * 2, (0.25, 0.165, 0.0)),
-        # The integral rises to the duty sent. The filter has 80 / 0.5 / 20 = 8 s, so D is 80 * 0.5 / (8 + 60).
+        # The integral rises to the duty sent. The filter has 8 s, so D is 80 * 0.5 / (8 + 60).
         ([{"temp": 26.0, "last_sent": SENT}, {"temp": 25.5, "last_sent": SENT}], (0.25, 0.4, 40 / 68)),
         # A step of the reference is no rate of the air.
         ([{"temp": 26.0, "last_sent": SENT}, {"temp": 26.0, "reference": 27.0, "last_sent": SENT}],

@@ -23,8 +23,17 @@ from safety_cases import (
 from edge.config.settings import SafetySettings
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command, Reading, ReadingQuality, Severity
-from edge.safety.box_bounds import PAPER_BOX, unknown_box
-from edge.safety.memory import DAY_S, AirRise, Dose, book_heat, heat_wh, survives_as, water_s
+from edge.safety.box_bounds import PAPER_BOX, paper_box, unknown_box
+from edge.safety.memory import (
+    DAY_S,
+    AirRise,
+    Dose,
+    book_heat,
+    heat_wh,
+    mean_duty,
+    survives_as,
+    water_s,
+)
 from edge.safety.relay_proof import EVERY_S, RelayProof
 from edge.safety.rules import duty_below_trip, energy_duty
 from edge.safety.supervisor import (
@@ -333,6 +342,26 @@ def test_a_board_that_has_not_answered_yet_may_be_told():
     assert judge(FULL, view(echo=None)).sent == FULL
 
 
+@pytest.mark.parametrize(
+    ("heater_w", "duty"), [(0.0, 0.0), (-1.0, 0.0), (math.nan, 0.0), (0.5, 1.0), (100.0, 1.0), (400.0, 1.0)]
+)
+def test_a_heater_of_unknown_power_does_not_heat(heater_w, duty):
+    box = replace(PAPER_BOX, heater_w=heater_w)
+    verdict = judge(HEAT, view(box=box), energy_hour_max_wh=400.0)
+    assert verdict.sent.heater_duty == duty
+    assert rules(verdict, "heater_duty") == ([] if duty else ["heater.unknown_power"])
+    limits = planning_limits(SafetyMemory(), LIMITS, NOW, 60.0, box)
+    assert (limits.heater_max_duty > 0.0) is bool(duty)
+
+
+def test_the_bounds_of_the_papers_box_follow_its_heater():
+    strong = paper_box(400.0)
+    assert (strong.heater_w, strong.power_min_w, strong.power_max_w) == (400.0, 300.0, 440.0)
+    assert strong.air_rate_max_k_s == pytest.approx(0.4)
+    assert paper_box(100.0) == PAPER_BOX
+    assert duty_below_trip(38.0, 43.0, 60.0, strong, 0.0) == pytest.approx(5.0 / 8.8)
+
+
 # Heater: a light box, which one step may bring to the trip
 
 LIGHT = replace(PAPER_BOX, capacity_min_j_k=660.0)  # full heat, 110 W, warms it by 10 K in 60 s
@@ -369,6 +398,42 @@ def test_a_light_box_near_its_limit_gets_less_heat():
     held = SafetyMemory(time_s=NOW - 60.0, thermal=ThermalMemory(heat=0.7))
     assert judge(FULL, view(air=38.0, box=LIGHT), held).sent == FULL
     assert judge(FULL, view(air=32.0, box=LIGHT)).sent == FULL
+
+
+HELD = ((NOW - 1200.0, 5.0), (NOW - 600.0, 5.0))  # 10 Wh in 20 min of a 100 W heater: 0.3 of it
+
+
+@pytest.mark.parametrize(
+    ("since_s", "heat", "duty"),
+    [
+        (None, HELD, 1.0),
+        (NOW, HELD, 0.3),
+        (NOW - 599.0, HELD, 0.3),
+        (NOW - 600.0, HELD, 0.0),
+        (NOW + 1.0, HELD, 0.0),
+        (math.nan, HELD, 0.0),
+        (NOW, (), 0.0),
+        (NOW, ((NOW - 10.0, 5.0),), 0.3),  # over ten minutes at the least
+        (NOW, ((NOW - 1800.0, 50.0), *HELD), 0.3),  # before the last half hour
+        (NOW, ((NOW - 1799.0, 50.0),), 1.0),
+    ],
+)
+def test_air_whose_fall_is_contradicted_gets_what_held_it_for_ten_minutes(since_s, heat, duty):
+    verdict = judge(
+        HEAT,
+        view(air=0.0, air_doubted_since_s=since_s),
+        SafetyMemory(heat=heat),
+        heater_rise_per_s=1.0,
+        energy_hour_max_wh=400.0,
+    )
+    assert verdict.sent.heater_duty == pytest.approx(duty)
+    assert rules(verdict, "heater_duty")[:1] == ([] if duty == 1.0 else ["heater.air_doubted"])
+
+
+@pytest.mark.parametrize("heater_w", [0.0, math.nan])
+def test_what_held_the_air_is_nothing_where_the_heater_is_not_known(heater_w):
+    assert mean_duty(SafetyMemory(heat=HELD), NOW, heater_w) == 0.0
+    assert mean_duty(SafetyMemory(heat=HELD), NOW, 0.5) == 1.0
 
 
 UNKNOWN = unknown_box(60.0, "none")

@@ -17,7 +17,7 @@ TABLES = [
     "LED_OFF", "LED_LIMITS", "VALVE_SHUT", "VALVE_LIMITS",
 ]  # fmt: skip
 CONSTANTS = ["CLOCK_SLACK_S", "HOUR_S", "DAY_S", "HEAT_BUCKET_S", "LEASE_S", "CLEAR_BELOW_K", "ROUNDING"]
-CONSTANTS += ["RISE_OVER_S", "RISE_GAP_S", "RISE_FADES_S", "RISE_MARGIN"]
+CONSTANTS += ["RISE_OVER_S", "RISE_GAP_S", "RISE_FADES_S", "RISE_MARGIN", "HELD_OVER_S", "DOUBT_S"]
 MUTANTS_AT_LEAST = 200  # fewer would mean that the search finds no functions any more
 
 EQUIVALENT = {

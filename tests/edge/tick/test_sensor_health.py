@@ -350,3 +350,70 @@ def test_samples_taken_together_leave_the_track_of_samples_taken_one_by_one(step
     for sample in samples:
         one_by_one = follow(one_by_one, [sample], pace)
     assert repr(follow(Track(), samples, pace)) == repr(one_by_one)  # NaN differs from itself
+
+
+def fallen(
+    air_c: float, room_c: float | None = 21.4, room_quality: ReadingQuality = ReadingQuality.GOOD
+) -> SensorHealth:
+    """Air of 21 °C that is at `air_c` from the sixth second on, judged at a tick of ten seconds."""
+    sensors = health()
+    one_tick(sensors, 0.0, [21.0] * 5 + [air_c] * 5, room_c, room_quality)
+    return sensors
+
+
+def one_tick(
+    sensors: SensorHealth,
+    start_s: float,
+    values: list[float],
+    room_c: float | None = 21.4,
+    room_quality: ReadingQuality = ReadingQuality.GOOD,
+) -> None:
+    samples = []
+    for second, value in enumerate(values):
+        sample = air(value, start_s + second)
+        sample["temp_ambient"] = Reading("temp_ambient", room_c, start_s + second, room_quality)
+        samples.append(sample)
+    sensors.readings(samples, start_s + len(values) - 1.0, OFF)
+
+
+@pytest.mark.parametrize(
+    ("air_c", "room_c", "is_doubted"),
+    [
+        (0.0, 21.4, True),
+        (17.3, 21.4, True),
+        (17.4, 21.4, False),  # 4 K: wet soil cools the air by less
+        (18.0, 21.4, False),  # a lid that is opened lets in the room
+        (0.0, 3.0, False),  # and a cold one too
+        (0.0, None, False),  # no witness
+        (45.0, 60.0, False),  # the air rose: more heat is not asked for
+    ],
+)
+def test_air_that_fell_at_once_below_the_room_is_doubted(air_c, room_c, is_doubted):
+    doubt = fallen(air_c, room_c).air_doubt
+    assert (doubt is not None) is is_doubted
+    if doubt is not None:
+        assert doubt.since_s == 9.0
+        assert doubt.words == f"from 21.0 to {air_c:.1f} °C, while the room has 21.4 °C"
+
+
+def test_a_room_that_is_not_known_is_no_witness():
+    assert fallen(0.0, 21.4, ReadingQuality.FAULT).air_doubt is None
+
+
+def test_air_that_cools_slowly_is_not_doubted_nor_air_that_was_cold_from_the_start():
+    sensors = health()
+    for tick in range(60):
+        one_tick(sensors, 60.0 * tick, [21.0 - 0.3 * tick] * 10)
+    assert sensors.air_doubt is None
+    one_tick(fresh := health(), 0.0, [0.0] * 10)
+    assert fresh.air_doubt is None
+
+
+def test_a_doubt_lasts_until_air_and_room_agree_whatever_comes_between():
+    sensors = fallen(0.0)
+    for start_s, value in ((60.0, 0.0), (120.0, -10.0), (180.0, math.nan), (240.0, -10.0)):
+        one_tick(sensors, start_s, [value] * 10)
+        assert sensors.air_doubt is not None and sensors.air_doubt.since_s == 9.0
+    one_tick(sensors, 300.0, [21.0] * 10)  # a step up, told once
+    one_tick(sensors, 360.0, [21.0] * 10)
+    assert sensors.air_doubt is None
