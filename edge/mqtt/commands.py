@@ -11,9 +11,9 @@ from edge.config.settings import ReferenceSettings
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import RequestError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
+from edge.core.stop_words import asks_to_stop
 from edge.formats.cross_check import CheckedDocument, Rule
 from edge.formats.reader import DocumentError, parse_json, read
-from edge.tick.inbox import asks_to_stop
 from edge.tick.orders import FanMode, Mode, SetManual
 
 Request = dict[str, Any]

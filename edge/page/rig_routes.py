@@ -10,6 +10,7 @@ from starlette.types import Receive, Scope, Send
 
 from edge.core.errors import RequestError
 from edge.core.messages import Severity
+from edge.core.stop_words import as_stop
 from edge.page import history
 from edge.page.access import Visitor
 from edge.page.answers import NotAllowed, answer, document, in_thread, number, passed_on
@@ -17,7 +18,6 @@ from edge.page.orders import NEEDS, problem
 from edge.page.page_state import Page
 from edge.page.questions import options
 from edge.page.streams import Stream
-from edge.tick.inbox import as_stop
 
 BEAT_S = 5.0  # between two signs of life on a quiet stream
 

@@ -20,11 +20,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from edge.core.stop_words import as_stop, asks_to_stop
 from edge.formats.reader import DocumentError, parse_json
 from edge.sockets.client import encode_line
 from edge.sockets.stop_file import StopFile
 from edge.sockets.unix_socket import listen
-from edge.tick.inbox import as_stop, asks_to_stop, is_in_force, is_urgent
+from edge.tick.inbox import is_in_force, is_urgent
 from edge.tick.status import reply_json
 
 Ask = Callable[[Mapping[str, Any]], dict[str, Any]]

@@ -6,7 +6,6 @@ their order. A stop, maintenance or status that repeats the newest waiting reque
 
 import os
 import queue
-import re
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -21,8 +20,6 @@ Reply = dict[str, Any]
 STOP, MAINTENANCE, ORDINARY = range(3)
 LANES = {"emergency_stop": STOP, "maintenance": MAINTENANCE}
 WAITING_MAX = 32  # requests in a lane; a stop always finds room: each door keeps only a few under way
-_STOP_WORDS = ("stop", "emergencystop", "estop", "stopnow", "stopeverything", "halt")
-_STOP_KEYS = {"ask": ("words",), "set_mode": ("mode",)}  # where else a person may say it
 _SHARED = (*LANES, "status")  # two of these in a row do the same as one
 
 _STOPPING: Reply = {"ok": False, "error": "the daemon is stopping"}
@@ -162,21 +159,6 @@ class Inbox:
                 pass
         except BlockingIOError:
             pass
-
-
-def asks_to_stop(text: object) -> bool:
-    """Return whether a text says no more than to stop: "stop", "Emergency Stop!", "e-stop"."""
-    return isinstance(text, str) and re.sub("[^a-z]", "", text.lower()) in _STOP_WORDS
-
-
-def as_stop(request: Request) -> Request:
-    """Return an emergency stop for a request that asks for one in any wording, else the request itself.
-
-    A stop has no keys but its author, so further ones are no reason to refuse it.
-    """
-    if any(asks_to_stop(request.get(key)) for key in _STOP_KEYS.get(str(request.get("do")), ("do",))):
-        return {key: request[key] for key in ("by",) if key in request} | {"do": "emergency_stop"}
-    return request
 
 
 def is_urgent(request: Request) -> bool:

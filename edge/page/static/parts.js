@@ -160,6 +160,7 @@ export function Controls({ view, me, done }) {
         ? html`<${Do} act=${() => order({ do: "maintenance", minutes: 0 })}>End it<//>`
         : [15, 60].map((minutes) => html`<${Do} key=${minutes} act=${() => order({ do: "maintenance", minutes })}>${minutes} min<//>`)}
       ${view.status.trips.length > 0 && html`<${Do} act=${() => order({ do: "clear_trip" })}>Clear the trip<//>`}
+      ${"air.jump_contradicted" in view.status.conditions && html`<${Do} act=${() => order({ do: "clear_trip" })}>Accept the air's value<//>`}
     </div>
   </section>`;
 }

@@ -18,6 +18,7 @@ from loop_rig import UTC_0, LoopRig, is_safe
 from edge.commands.orders import status_lines
 from edge.core.messages import AirSensorPair, Command, ReadingQuality, Severity, TickRecord
 from edge.mqtt.states import state
+from edge.safety.box_bounds import paper_box
 from edge.safety.supervisor import SafetyMemory
 from edge.state.store import STANDING, restore
 from edge.tick.faults import FAILURES, Conditions
@@ -750,3 +751,28 @@ def test_the_event_says_what_happened_and_what_it_gets() -> None:
 def test_a_failure_outside_the_table_is_a_bug() -> None:
     with pytest.raises(KeyError):
         Conditions().set("board.on_fire", True, 0.0, 0.0)
+
+
+def test_a_person_accepts_air_that_fell_below_the_room(rig):
+    """The loop's board has a room of 21 °C."""
+    rig.chosen.command = Command(heater_duty=1.0)
+    rig.tick()
+    rig.board.temp_air = 2.0
+    rig.tick()
+    assert "air.jump_contradicted" in rig.events()
+    assert rig.tick().sent.heater_duty < 1.0
+    assert rig.ask({"do": "clear_trip"})["ok"]
+    record = rig.tick()
+    assert record.sent.heater_duty == 1.0
+    texts = {event.key: event.text for event in record.events}
+    assert "the air's value accepted" in texts["operator.clear_trip"]
+    assert "air.jump_contradicted.over" in texts
+
+
+@pytest.mark.parametrize(("most", "is_told"), [(1.0, True), (0.0, False)])
+def test_a_heater_of_unknown_power_is_an_alarm_where_heat_is_allowed(rig, most, is_told):
+    rig.chosen.command = Command(heater_duty=1.0)
+    safety = replace(rig.settings.safety, heater_max_duty=most)
+    rig.loop._rig = replace(rig.rig, box=paper_box(0.0), settings=replace(rig.settings, safety=safety))
+    assert rig.tick().sent.heater_duty == 0.0
+    assert ("heater.unknown_power" in rig.events()) is is_told

@@ -1,0 +1,23 @@
+"""What asks for an emergency stop: a stop is understood in any wording, as whoever gives it is in a hurry."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+_STOP_WORDS = ("stop", "emergencystop", "estop", "stopnow", "stopeverything", "halt")
+_STOP_KEYS = {"ask": ("words",), "set_mode": ("mode",)}  # where else a person may say it
+
+
+def asks_to_stop(text: object) -> bool:
+    """Return whether a text says no more than to stop: "stop", "Emergency Stop!", "e-stop"."""
+    return isinstance(text, str) and re.sub("[^a-z]", "", text.lower()) in _STOP_WORDS
+
+
+def as_stop(request: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return an emergency stop for a request that asks for one in any wording, else the request itself.
+
+    A stop has no keys but its author, so further ones are no reason to refuse it.
+    """
+    if any(asks_to_stop(request.get(key)) for key in _STOP_KEYS.get(str(request.get("do")), ("do",))):
+        return {key: request[key] for key in ("by",) if key in request} | {"do": "emergency_stop"}
+    return request
