@@ -1,4 +1,4 @@
-"""What asks for an emergency stop: a stop is understood in any wording, as whoever gives it is in a hurry."""
+"""Wordings of an emergency stop: whoever gives one is in a hurry."""
 
 import re
 from collections.abc import Mapping

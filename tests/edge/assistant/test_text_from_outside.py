@@ -76,8 +76,8 @@ def test_a_language_model_that_answers_with_a_lone_surrogate_ends_nothing(
 def test_orders_with_evil_keys_and_values_are_refused(folder: Path, board: VirtualBoard) -> None:
     evil = json.dumps(EVIL).encode()
     with DaemonProcess(folder) as daemon:
-        refused = ask(daemon, b'{"do": "emergency_stop", %s: 1}' % evil)
-        assert refused["error"].startswith("emergency_stop: unknown key '\ufffd ")
+        refused = ask(daemon, b'{"do": "release_emergency_stop", %s: 1}' % evil)
+        assert refused["error"].startswith("release_emergency_stop: unknown key '\ufffd ")
         assert refused["error"].endswith("; it takes none")
         refused = ask(daemon, b'{"do": "set_mode", "mode": "heat", "now": true}')
         assert refused["error"] == "set_mode: unknown key 'now'; known keys: mode"

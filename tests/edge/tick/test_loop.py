@@ -765,7 +765,7 @@ def test_a_person_accepts_air_that_fell_below_the_room(rig):
     record = rig.tick()
     assert record.sent.heater_duty == 1.0
     texts = {event.key: event.text for event in record.events}
-    assert "the air's value accepted" in texts["operator.clear_trip"]
+    assert "air temperature is accepted" in texts["operator.clear_trip"]
     assert "air.jump_contradicted.over" in texts
 
 
