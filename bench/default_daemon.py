@@ -32,6 +32,7 @@ board: {{port: {folder}/board}}
 bundle: {{path: {folder}/bundles, trusted_keys: {folder}/keys}}
 mqtt: {{enabled: true, host: 127.0.0.1, port: {port}, rig: rig-1}}
 control: {{controller: {controller}}}
+box: {{heater_w: 100}}
 """
 
 

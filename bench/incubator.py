@@ -89,7 +89,7 @@ class IncubatorRow:
     latches: tuple[str, ...]
 
 
-def described(folder: Path) -> TwinFile:
+def box_description(folder: Path) -> TwinFile:
     """Return what a person would say of the box."""
     path = folder / "described.yaml"
     path.write_text(text(BoxDescription(VOLUME_M3, HEATER_W, "none", None)))
@@ -105,7 +105,7 @@ def commission(seed: int) -> Commissioned:
     """Let the step tests learn the box, its lid shut. Errors: GreenhouseError"""
     with tempfile.TemporaryDirectory(prefix="incubator-") as temporary:
         folder = Path(temporary)
-        start = described(folder)
+        start = box_description(folder)
         board = InProcessBoard(seed, plant=Plant(LiddedChamber(seed, folder), RIG_PARTS))
         run = record(test_settings(settings_of(folder, start)), board, False, TESTS_MIN, open_port=board.open)
     return learn(run, start, ControlSettings(), lambda text, share: None)
@@ -117,7 +117,7 @@ def drive(
     """Run the box. found : models of those that plan; instead : a controller in place of the daemon's own"""
     with tempfile.TemporaryDirectory(prefix="incubator-") as temporary:
         folder = Path(temporary)
-        settings = settings_of(folder, described(folder) if found is None else found.twin)
+        settings = settings_of(folder, box_description(folder) if found is None else found.twin)
         times_s = [STEP_EVERY_S * k for k in range(int(60.0 * minutes / STEP_EVERY_S) + 1)]
         steps = tuple(ReferenceStep(at_s, STEPS_C[k % len(STEPS_C)]) for k, at_s in enumerate(times_s))
         settings = replace(

@@ -221,6 +221,7 @@ def _configuration(folder: Path, port: int) -> dict[str, Any]:
         },
         "control": {"step_s": STEP_S, "controller": "rules"},
         "drift": {"enabled": False},
+        "box": {"heater_w": 100.0},
         "safety": {"heater_rise_per_s": 1.0, "fan_min_on_s": 0.0, "fan_min_off_s": 0.0},
     }
 

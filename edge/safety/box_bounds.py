@@ -12,7 +12,7 @@ from edge.core.names import HEATER_MAX_W
 class BoxBounds:
     """Least and most of what a box can be.
 
-    heater_w : rated; power : what the element really takes [W]; element_lag_s : slowest, on and off
+    heater_w : rated, 0 where unknown; power : what the element takes [W]; element_lag_s : slowest, on and off
     capacity_max : all that is warmed [J/K]; capacity_min : what takes part within minutes
     loss, fan : conductance to the room through the walls, and by the fan [W/K]
     fan_weak_w_k : a fan is called blocked only below this
@@ -38,11 +38,6 @@ class BoxBounds:
     air_rate_max_k_s: float = 0.1
     fan_cools: bool = True  # False for one that only stirs, and without a fan
     fan_role: str = "exhaust"  # of the twin file
-
-    @property
-    def has_heater(self) -> bool:
-        """False where the heater's power is not known: then nothing bounds its heat."""
-        return self.heater_w > 0.0
 
     @property
     def is_known(self) -> bool:

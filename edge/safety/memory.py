@@ -12,7 +12,6 @@ from edge.safety.thermal_supervision import ThermalMemory
 HOUR_S = 3600.0
 DAY_S = 86400.0
 HEAT_BUCKET_S = 600.0  # heat is counted in pieces of ten minutes
-HELD_OVER_S = 1800.0  # the mean of a controller that heats in turns is what holds the air
 RISE_OVER_S = 30.0  # a rate over less shows the sensor's steps: 0.1 K in 5 s are 1.2 K in a minute
 RISE_GAP_S = 150.0  # after a longer time without a look there is no rate
 RISE_FADES_S = 6 * HOUR_S  # time constant of the fastest rise: warm walls behind an open lid fade too
@@ -126,15 +125,6 @@ def book_heat(memory: SafetyMemory, now_s: float, dt_s: float, heater_w: float) 
 def heat_wh(memory: SafetyMemory, now_s: float, window_s: float) -> float:
     """Heat of the pieces that began within the last `window_s` [Wh]."""
     return sum(wh for begin_s, wh in memory.heat if now_s - begin_s < window_s)
-
-
-def mean_duty(memory: SafetyMemory, now_s: float, heater_w: float) -> float:
-    """Return the heater's mean duty of the last half hour, which held the air [0..1]."""
-    pieces = [piece for piece in memory.heat if now_s - piece[0] < HELD_OVER_S]
-    if not pieces or not heater_w > 0.0:
-        return 0.0
-    hours = max(now_s - pieces[0][0], HEAT_BUCKET_S) / HOUR_S
-    return min(1.0, sum(wh for _, wh in pieces) / (heater_w * hours))
 
 
 def water_s(memory: SafetyMemory, now_s: float, utc: float) -> float:

@@ -11,16 +11,7 @@ from edge.config.settings import SafetySettings
 from edge.core.messages import ReadingQuality
 from edge.core.names import HEATER_LEVELS
 from edge.safety.box_bounds import BoxBounds
-from edge.safety.memory import (
-    DAY_S,
-    HOUR_S,
-    AirRise,
-    SafetyMemory,
-    SafetyView,
-    heat_wh,
-    mean_duty,
-    water_s,
-)
+from edge.safety.memory import DAY_S, HOUR_S, AirRise, SafetyMemory, SafetyView, heat_wh, water_s
 from edge.safety.thermal_supervision import FAN_NO_EFFECT, HEATER_STUCK_ON
 
 OVER_TEMPERATURE = "over_temperature"
@@ -29,6 +20,7 @@ CUTOFF_TRIPS = HOT_TRIPS | {FAN_NO_EFFECT}  # air that a fan does not cool may h
 CLOCK_SLACK_S = 0.5  # a tick may begin this much early without breaking a relay time
 LED_LEVELS = 100
 VALVE_STEPS_PER_S = 10
+HELD_OVER_S = 1800.0  # the mean of a controller that heats in turns is what holds the air
 DOUBT_S = 600.0  # then a box that is really cold has had time to show it by its other sensors
 NO_RISE = AirRise()
 RISE_MARGIN = 1.3  # above the fastest rise so far: mains and room differ, and losses fell into its step
@@ -126,7 +118,7 @@ def too_hot(s: RuleInput) -> str:
 
 def heater_unknown(s: RuleInput) -> str:
     """Force an output while the heater's power is not known: then no bound on its heat means anything."""
-    return "" if s.view.box.has_heater else "the heater's power is not known: set box.heater_w"
+    return "" if s.view.box.heater_w > 0.0 else "the heater's power is not known: set box.heater_w"
 
 
 def relay_proof(s: RuleInput) -> str:
@@ -235,7 +227,7 @@ def doubted_duty(s: RuleInput) -> float:
     since_s = s.view.air_doubted_since_s
     if since_s is None:
         return math.inf
-    held = mean_duty(s.memory, s.view.now_s, s.view.box.heater_w)
+    held = heat_wh(s.memory, s.view.now_s, HELD_OVER_S) / (s.view.box.heater_w * HELD_OVER_S / HOUR_S)
     return held if 0.0 <= s.view.now_s - since_s < DOUBT_S else 0.0
 
 

@@ -118,7 +118,7 @@ def planning_limits(
     box: BoxBounds = PAPER_BOX,
 ) -> ControlLimits:
     """Return the safety limits of the step that begins now, for a controller that plans."""
-    rests = memory.trips or memory.thermal.proof.running or not box.has_heater
+    rests = memory.trips or memory.thermal.proof.running or not box.heater_w > 0.0
     duty = 0.0 if rests else settings.heater_max_duty
     for window_s in (HOUR_S, DAY_S):
         duty = min(duty, energy_duty(memory, settings, now_s, step_s, window_s, box.heater_w))

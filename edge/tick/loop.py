@@ -338,7 +338,7 @@ class Loop:
         doubt = self._rig.sensors.air_doubt
         note("air.jump_contradicted", doubt is not None, now, utc, doubt.words if doubt else "")
         heats = self._rig.settings.safety.heater_max_duty > 0.0
-        note("heater.unknown_power", heats and not self._rig.box.has_heater, now, utc)
+        note("heater.unknown_power", heats and not self._rig.box.heater_w > 0.0, now, utc)
         pair = self._rig.board.air_pair
         apart = pair is not None and pair.are_apart
         note("air_sensors.apart", apart, now, utc, _witness(pair, air, estimate) if pair and apart else "")

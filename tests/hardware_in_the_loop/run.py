@@ -104,6 +104,7 @@ def _settings(folder: Path, changes: Mapping[str, Any]) -> Any:
         "control_socket": {"path": str(folder / "daemon.sock")},
         "history": {"path": str(folder / "history.db")},
         "board": {"port": str(folder / BOARD)},
+        "box": {"heater_w": 100.0},
         "bundle": {"path": str(folder / "bundles"), "trusted_keys": str(folder / "keys")},
     }
     return config.parse(yaml.safe_dump(_merged(_merged(SETTINGS, places), changes)), "scenario")

@@ -27,6 +27,7 @@ def start_daemon(folder: Path) -> "subprocess.Popen[bytes]":
         "board": {"port": str(folder / "port")},
         "bundle": {"path": str(folder / "bundles"), "trusted_keys": str(folder / "keys")},
         "reference": {"reference_c": 36.0},
+        "box": {"heater_w": 100.0},
     }
     config.write_text(yaml.safe_dump(settings))
     program = [sys.executable, "-m", "edge", "run", "--config", str(config)]

@@ -36,6 +36,7 @@ history: {{path: {folder}/history.db}}
 board: {{port: {folder}/board}}
 bundle: {{path: {folder}/bundles, trusted_keys: {folder}/trusted}}
 timezone: UTC
+box: {{heater_w: 100}}
 drift: {{diagnose: disagrees, diagnose_at: "00:45", false_alarm_days: 1, reports: {folder}/reports}}
 mqtt: {{enabled: {enabled}, host: 127.0.0.1, port: {port}, rig: rig-1}}
 """

@@ -123,6 +123,7 @@ def test_a_rig_with_all_that_it_names_has_no_problem(tmp_path: Path) -> None:
         settings = config.parse(
             f"""
 board: {{port: /dev/null}}
+box: {{heater_w: 100}}
 state_file: {tmp_path}/state.json
 history: {{path: {tmp_path}/new/history.db}}
 control_socket: {{path: {tmp_path}/control.sock}}

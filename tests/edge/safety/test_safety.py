@@ -24,16 +24,7 @@ from edge.config.settings import SafetySettings
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command, Reading, ReadingQuality, Severity
 from edge.safety.box_bounds import PAPER_BOX, paper_box, unknown_box
-from edge.safety.memory import (
-    DAY_S,
-    AirRise,
-    Dose,
-    book_heat,
-    heat_wh,
-    mean_duty,
-    survives_as,
-    water_s,
-)
+from edge.safety.memory import DAY_S, AirRise, Dose, book_heat, heat_wh, survives_as, water_s
 from edge.safety.relay_proof import EVERY_S, RelayProof
 from edge.safety.rules import duty_below_trip, energy_duty
 from edge.safety.supervisor import (
@@ -400,21 +391,21 @@ def test_a_light_box_near_its_limit_gets_less_heat():
     assert judge(FULL, view(air=32.0, box=LIGHT)).sent == FULL
 
 
-HELD = ((NOW - 1200.0, 5.0), (NOW - 600.0, 5.0))  # 10 Wh in 20 min of a 100 W heater: 0.3 of it
+HELD = ((NOW - 1200.0, 5.0), (NOW - 600.0, 5.0))  # 10 Wh of the 50 Wh of half an hour
 
 
 @pytest.mark.parametrize(
     ("since_s", "heat", "duty"),
     [
         (None, HELD, 1.0),
-        (NOW, HELD, 0.3),
-        (NOW - 599.0, HELD, 0.3),
+        (NOW, HELD, 0.2),
+        (NOW - 599.0, HELD, 0.2),
         (NOW - 600.0, HELD, 0.0),
         (NOW + 1.0, HELD, 0.0),
         (math.nan, HELD, 0.0),
         (NOW, (), 0.0),
-        (NOW, ((NOW - 10.0, 5.0),), 0.3),  # over ten minutes at the least
-        (NOW, ((NOW - 1800.0, 50.0), *HELD), 0.3),  # before the last half hour
+        (NOW, ((NOW - 10.0, 5.0),), 0.1),
+        (NOW, ((NOW - 1800.0, 50.0), *HELD), 0.2),  # before the last half hour
         (NOW, ((NOW - 1799.0, 50.0),), 1.0),
     ],
 )
@@ -428,12 +419,6 @@ def test_air_whose_fall_is_contradicted_gets_what_held_it_for_ten_minutes(since_
     )
     assert verdict.sent.heater_duty == pytest.approx(duty)
     assert rules(verdict, "heater_duty")[:1] == ([] if duty == 1.0 else ["heater.air_doubted"])
-
-
-@pytest.mark.parametrize("heater_w", [0.0, math.nan])
-def test_what_held_the_air_is_nothing_where_the_heater_is_not_known(heater_w):
-    assert mean_duty(SafetyMemory(heat=HELD), NOW, heater_w) == 0.0
-    assert mean_duty(SafetyMemory(heat=HELD), NOW, 0.5) == 1.0
 
 
 UNKNOWN = unknown_box(60.0, "none")
