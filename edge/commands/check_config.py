@@ -72,7 +72,7 @@ def _problems_of(check: Callable[[], object]) -> Iterator[ConfigProblem]:
 def _heater(settings: Settings) -> Iterator[ConfigProblem]:
     """Warn of a heater of unknown power; refuse one on a rig that has run before: it would stop heating."""
     if not (settings.box.twin or settings.box.heater_w) and settings.safety.heater_max_duty > 0.0:
-        text = "box.heater_w: the heater's power is not known, so this rig does not heat: name it [W]"
+        text = "box.heater_w: the heater's power is not known: this rig does not heat until it is named [W]"
         yield ConfigProblem(text, _mode(settings.state_file) is not None)
 
 

@@ -72,8 +72,8 @@ class Pid:
         self._proportional = kp * error
         if 0.0 < passed_s <= GAP_STEPS * context.step_s:
             filter_s = kd / (kp * FILTER)
-            falls = kd * (self._last_c - temp)
-            self._derivative = (filter_s * self._derivative + falls) / (filter_s + passed_s)
+            falls = filter_s * self._derivative + kd * (self._last_c - temp)
+            self._derivative = falls / (filter_s + passed_s)
             cut = sent - self._output
             back = min(passed_s / self._track_s, 1.0) * cut if abs(cut) > ROUNDING else 0.0
             integral = self._integral + passed_s * ki * error + back

@@ -57,13 +57,15 @@ class AirRise:
 
     time_s: float | None = None  # of the last look; None: without a good reading since
     air_c: float = 0.0
-    highest_c: float = -math.inf  # of the last two looks: air that an open lid cooled comes back at once
+    highest_c: float = (
+        -math.inf
+    )  # of the last two looks, with the heat between: what an open lid cooled comes back at once
     rate_k_s: float = 0.0
     fastest_k_s: float = 0.0
 
 
-def follow_air(rise: AirRise, now_s: float, dt_s: float, temp_air: float | None) -> AirRise:
-    """Return the rise after one more look. temp_air : [°C]; None unless good; dt_s : of a step"""
+def follow_air(rise: AirRise, now_s: float, dt_s: float, temp_air: float | None, sent: float) -> AirRise:
+    """Return the rise after one more look. temp_air : [°C]; None unless good; sent : duty since"""
     passed_s = math.inf if rise.time_s is None else now_s - rise.time_s
     if temp_air is None or not 0.0 <= passed_s <= max(RISE_GAP_S, 2.5 * dt_s):
         if temp_air is None:
@@ -73,7 +75,8 @@ def follow_air(rise: AirRise, now_s: float, dt_s: float, temp_air: float | None)
         return rise
     rate_k_s = (temp_air - rise.air_c) / passed_s
     fastest_k_s = max(rate_k_s, rise.fastest_k_s * math.exp(-passed_s / RISE_FADES_S))
-    return AirRise(now_s, temp_air, max(temp_air, rise.air_c), rate_k_s, fastest_k_s)
+    without_lid_c = rise.air_c + sent * rise.fastest_k_s * passed_s
+    return AirRise(now_s, temp_air, max(temp_air, without_lid_c), rate_k_s, fastest_k_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,7 +207,7 @@ def duty_below_trip(
     one was measured. Heat in the element lets the air rise on at its present rate for the element's lag.
 
     held_duty : mean of the last minutes; only heat beyond it warms the air further
-    sent_duty : of the last command, which goes with the present rate
+    sent_duty : of the last command, which goes with the present rate: after less heat, less holds the air
     """
     if temp_air is None:  # `air_unknown` forces
         return 1.0
@@ -218,7 +218,7 @@ def duty_below_trip(
     least_j_k, seen_k = box.capacity_min_j_k, RISE_MARGIN * rise.fastest_k_s * dt_s
     full_k = box.power_max_w * dt_s / least_j_k if least_j_k > 0.0 else 0.0
     stored = held_duty + (left_k - coasts_k) / full_k if full_k > 0.0 else math.inf
-    seen = sent_duty + (left_k - coasts_k) / seen_k if seen_k > 0.0 else math.inf
+    seen = min(held_duty, sent_duty) + (left_k - coasts_k) / seen_k if seen_k > 0.0 else math.inf
     return min(1.0, stored, seen)
 
 

@@ -77,7 +77,9 @@ def supervise(
     memory = book_heat(memory, view.now_s, view.dt_s, view.box.heater_w)
     # Hands are inside during maintenance: an open box tells nothing of its heater.
     seen_c = None if view.maintenance else temp_air
-    memory = replace(memory, rise=follow_air(memory.rise, view.now_s, view.dt_s, seen_c))
+    memory = replace(
+        memory, rise=follow_air(memory.rise, view.now_s, view.dt_s, seen_c, memory.sent.heater_duty)
+    )
     # Trips first: the limits below act on a trip of this very tick.
     memory, events = _latch(view, memory, settings, temp_air)
     situation = RuleInput(view, memory, settings, temp_air)

@@ -54,10 +54,7 @@ class AirDoubt:
 
 
 class SensorHealth:
-    """The tracks of all signals.
-
-    air_doubt : stands until air and room agree again, or a person accepts the value
-    """
+    """The tracks of all signals."""
 
     def __init__(
         self, settings: SensorHealthSettings, calibration: CalibrationSettings, box: BoxBounds = PAPER_BOX
@@ -73,7 +70,7 @@ class SensorHealth:
             "temp_ambient": Pace(settings.air_jump_k, ROOM_RATE_MAX_K_S),
         }
         self._still = Stillness()
-        self.air_doubt: AirDoubt | None = None
+        self.air_doubt: AirDoubt | None = None  # until air and room agree, or a person accepts the value
 
     def readings(
         self, samples: Sequence[Mapping[str, Reading]], now: float, driven: Command

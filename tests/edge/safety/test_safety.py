@@ -374,7 +374,7 @@ LIGHT = replace(PAPER_BOX, capacity_min_j_k=660.0)  # full heat, 110 W, warms it
         (50.0, 0.0, LIGHT, 0.0, 1.0),
         (None, 60.0, LIGHT, 0.0, 1.0),
         (42.0, 60.0, replace(PAPER_BOX, capacity_min_j_k=1.0), 0.0, 1.0 / 6600.0),
-        (42.0, 60.0, unknown_box(100.0, "exhaust"), 0.0, 1.0),
+        (42.5, 60.0, unknown_box(100.0, "exhaust"), 0.0, 1.0),
         (39.99, 60.0, PAPER_BOX, 0.0, 1.0),
     ],
 )
@@ -443,7 +443,7 @@ QUICK = AirRise(NOW, 38.0, 38.0, 0.0, 0.1)  # at the fastest 6 K in a minute; by
         (38.0, 60.0, 0.0, AirRise(NOW, 38.0, 38.0, 0.01, 0.1), 2.0 / 7.8),
         (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, 5.0 / 300.0, 0.1), 0.0),
         (43.0, 60.0, 1.0, AirRise(NOW, 43.0, 43.0, 0.5 / 300.0, 0.1), 0.0),
-        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, 0.0166, 0.1), 1.0),
+        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, 0.0166, 0.1), 0.9 + 0.02 / 7.8),
         (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, math.nan, 0.1), 0.0),
         (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, math.inf, 0.1), 0.0),
         (38.0, 60.0, 0.0, AirRise(), 1.0),
@@ -486,6 +486,12 @@ def test_the_rise_of_the_air_is_followed_over_half_a_minute(before, passed_s, te
     found = judge(seen=view(air=temp_air), memory=SafetyMemory(rise=before)).memory.rise
     assert found.time_s == after.time_s
     assert astuple(found)[1:] == pytest.approx(astuple(after)[1:], rel=1e-4)
+
+
+def test_heat_that_did_not_show_comes_back_when_the_lid_is_shut():
+    """0.8 of 0.1 K/s for 60 s are 4.8 K above the 30 °C of the last look, though the air fell."""
+    memory = SafetyMemory(sent=Command(heater_duty=0.8), rise=AirRise(NOW - 60.0, 30.0, 30.0, 0.0, 0.1))
+    assert judge(seen=view(air=29.0), memory=memory).memory.rise.highest_c == pytest.approx(34.8)
 
 
 @pytest.mark.parametrize(
