@@ -56,7 +56,8 @@ class Page:
         if visitor.role is Role.VIEW:
             own = self.stops.setdefault(visitor.link, Allowance(STOPS, 1.0 / STOPS_S, time.monotonic))
             if not own.has_room:
-                if self.rig.is_stopped:
+                status = await self.rig.ask({"do": "status"})
+                if status.get("operation", {}).get("emergency_stop"):
                     return {"ok": True, "changed": False}
                 text = f"this link's stops were released {STOPS} times: ask who operates the rig, or wait"
                 raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, text)

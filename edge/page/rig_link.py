@@ -66,12 +66,6 @@ class RigLink:
             "utc": round(time.time(), 3),
         }
 
-    @property
-    def is_stopped(self) -> bool:
-        """The daemon's last answer was that an emergency stop is in force."""
-        operation = {} if self._error or self._status is None else self._status["operation"]
-        return bool(operation.get("emergency_stop"))
-
     async def next_news(self, at_most_s: float) -> None:
         """Wait for a change of the view."""
         news = self._news
