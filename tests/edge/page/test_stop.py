@@ -12,7 +12,7 @@ import pytest
 from edge.core.hard_limits import LEASE_S
 from edge.page.access import DAY_S, Role
 from edge.page.page_state import STOPS
-from edge.page.protocol import CONNECTIONS_MAX
+from edge.page.protocol import CONNECTIONS_MAX, HEAD_MAX_S
 from tests.support.broker import wait_for
 from tests.support.daemon_process import DaemonProcess
 from tests.support.page_process import Client, PageProcess, as_at_first, rig_with_page
@@ -74,7 +74,7 @@ def test_a_viewer_stops_the_rig_and_the_history_says_who(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\n", UNFINISHED])
-def test_a_stop_arrives_within_a_second_whoever_holds_connections(rig: Rig, begun: bytes) -> None:
+def test_a_stop_arrives_at_once_whoever_holds_connections(rig: Rig, begun: bytes) -> None:
     daemon, page, _ = rig
     client = page.client(Role.VIEW, "guest")
     with ExitStack() as stack:
@@ -86,7 +86,7 @@ def test_a_stop_arrives_within_a_second_whoever_holds_connections(rig: Rig, begu
         fresh.session.cookies.update(client.session.cookies)
         assert fresh.post("/api/stop").json()["ok"]
         assert daemon.ask("status")["operation"]["emergency_stop"]
-        assert time.monotonic() - begun_s < 1.0
+        assert time.monotonic() - begun_s < HEAD_MAX_S / 2  # no place had to become free by itself
 
 
 def test_one_link_defeats_two_releases_and_no_third_and_keeps_nobody_else_from_a_stop(rig: Rig) -> None:
