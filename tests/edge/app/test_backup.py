@@ -285,7 +285,7 @@ def test_a_place_that_only_the_backup_names_is_refused(rig, tmp_path):
         ("state.json", "/etc/greenhouse/edge.yaml", False),
         ("state.json", "/var/lib/greenhouse", False),
         ("signing.key", "/etc/greenhouse/keys/rig.key", True),
-        ("signing.key", "/root/.ssh/authorized_keys", False),
+        ("signing.key", "/etc/ssh/authorized_keys", False),
         ("page.db", "/var/lib/greenhouse-page/page.db", True),
         ("page.db", "/var/lib/greenhouse/page.db", False),
         ("history.db", "history.db", False),
