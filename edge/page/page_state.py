@@ -39,7 +39,7 @@ class Page:
     tries: PasswordTries = field(default_factory=PasswordTries)
     course_places: anyio.CapacityLimiter = field(default_factory=lambda: anyio.CapacityLimiter(1))
     streams: Streams = field(default_factory=Streams)
-    stops: dict[int, Allowance] = field(default_factory=dict)  # of each link to view that has stopped the rig
+    stops: dict[int | str, Allowance] = field(default_factory=dict)  # of each link, or person, who only looks
     is_exporting: bool = False  # the history is on its way to somebody
 
     @property
@@ -54,10 +54,13 @@ class Page:
         """
         own = None
         if visitor.role is Role.VIEW:
-            own = self.stops.setdefault(visitor.link, Allowance(STOPS, 1.0 / STOPS_S, time.monotonic))
-            if not own.has_room:
-                status = await self.rig.ask({"do": "status"})
-                if status.get("operation", {}).get("emergency_stop"):
+            who = visitor.link or visitor.name  # people who log in have no link, and no share in each other's
+            own = self.stops.setdefault(who, Allowance(STOPS, 1.0 / STOPS_S, time.monotonic))
+        # A daemon that does not answer runs no control that a stop could disturb: the stop is left for it.
+        if own is not None and not own.has_room and self.rig.view()["reached"]:
+            status = await self.rig.ask({"do": "status"})
+            if status.get("ok"):
+                if status["operation"]["emergency_stop"]:
                     return {"ok": True, "changed": False}
                 text = f"this link's stops were released {STOPS} times: ask who operates the rig, or wait"
                 raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, text)

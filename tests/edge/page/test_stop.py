@@ -1,5 +1,6 @@
 """Whoever sees the page stops the rig, whatever the daemon does; and the page says no more than it knows."""
 
+import asyncio
 import os
 import signal
 import socket
@@ -10,8 +11,9 @@ from contextlib import ExitStack
 import pytest
 
 from edge.core.hard_limits import LEASE_S
-from edge.page.access import DAY_S, Role
-from edge.page.page_state import STOPS
+from edge.page.access import DAY_S, Role, Visitor
+from edge.page.answers import NotAllowed
+from edge.page.page_state import STOPS, Page
 from edge.page.protocol import CONNECTIONS_MAX, HEAD_MAX_S
 from tests.support.broker import wait_for
 from tests.support.daemon_process import DaemonProcess
@@ -106,6 +108,43 @@ def test_one_link_defeats_two_releases_and_no_third_and_keeps_nobody_else_from_a
         wait_for(lambda: not page.client().view()["status"]["operation"]["emergency_stop"])
     assert other.post("/api/stop").ok and stopped()
     assert vandals[0].post("/api/order", {"do": "stop"}).status_code in (200, 429) and stopped()
+
+
+class ReleasedRig:
+    """A rig that is released after every stop."""
+
+    def __init__(self, reached: bool = True) -> None:
+        self.reached, self.stopped = reached, 0
+
+    def view(self) -> dict[str, bool]:
+        return {"reached": self.reached}
+
+    async def ask(self, request: object) -> dict[str, object]:
+        return {"ok": True, "operation": {"emergency_stop": False}} if self.reached else {"ok": False}
+
+    async def stop(self, author: str) -> dict[str, bool]:
+        self.stopped += 1
+        return {"ok": True, "changed": True}
+
+
+def test_the_limit_of_one_who_looks_is_nobody_elses_and_none_while_the_daemon_is_silent() -> None:
+    rig = ReleasedRig()
+    page = Page(None, None, rig, None, None, None)  # type: ignore[arg-type]
+
+    def stop(session: int, name: str, link: int = 0) -> None:
+        asyncio.run(page.stop(Visitor(session, name, Role.VIEW, link), name))
+
+    for visitor in ((1, "Eve"), (2, "guest", 7)):
+        for _ in range(STOPS):
+            stop(*visitor)
+        with pytest.raises(NotAllowed):
+            stop(*visitor)
+    stop(3, "Ann")  # logs in by a password, as Eve does
+    stop(4, "guest", 8)
+    assert rig.stopped == 2 * STOPS + 2
+    rig.reached = False
+    stop(1, "Eve")
+    assert rig.stopped == 2 * STOPS + 3
 
 
 def test_with_the_daemon_hung_a_stop_leaves_the_heater_off_within_a_lease_and_for_good(rig: Rig) -> None:
