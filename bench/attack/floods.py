@@ -239,7 +239,7 @@ def stopped_after(flood: Callable[[], None], send: Callable[[], None], board: Vi
 
 
 def _send(door: str, words: Any, path: Path, sender: Listener, browser: Client) -> None:
-    """Send a stop by a door, in words of its own."""
+    """Send a stop through a door, in the given wording."""
     if door == "mqtt":
         sender.client.publish(f"{RIG}/set/{words[0]}", words[1], qos=1)
     elif door == "page":

@@ -43,7 +43,7 @@ COPIES = 3  # of a folder that changes while it is read
 ETC, VAR, PAGE_FOLDER = Path("/etc/greenhouse"), Path("/var/lib/greenhouse"), Path("/var/lib/greenhouse-page")
 _IN_ETC = (CONFIG, "board.yaml", "twin.yaml", "credentials", "page-credentials", "keys", "signing.key")
 SECRETS = ("credentials", "page-credentials", "signing.key", PAGE)
-SMALL_PARTS = (CONFIG, "board.yaml", "twin.yaml", f"twin.yaml{BEFORE}", STATE, *SECRETS[:3], "keys")
+SMALL_PARTS = (*_IN_ETC, STATE)
 PROBE_S = 1.0  # for a daemon to take a connection
 _LOOSE = stat.S_IRWXG | stat.S_IRWXO
 UNPACKED_TIMES = 20  # of the backup's own size; a history of numbers is packed to a quarter
@@ -326,7 +326,7 @@ def _unpack_file(
 ) -> None:
     if member.name not in manifest.files or not member.isfile() or not _is_plain(member.name):
         raise DataError(f"{backup}: {member.name!r} does not belong into a backup")
-    if Path(member.name).parts[0] in SMALL_PARTS and member.size > SMALL:
+    if Path(member.name).parts[0].removesuffix(BEFORE) in SMALL_PARTS and member.size > SMALL:
         raise DataError(f"{backup}: {member.name} has {member.size} bytes, more than {SMALL}")
     target = folder / member.name
     target.parent.mkdir(parents=True, exist_ok=True)
