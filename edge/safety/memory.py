@@ -13,7 +13,10 @@ HOUR_S = 3600.0
 DAY_S = 86400.0
 HEAT_BUCKET_S = 600.0  # heat is counted in pieces of ten minutes
 RISE_OVER_S = 30.0  # a rate over less shows the sensor's steps: 0.1 K in 5 s are 1.2 K in a minute
+HEAT_TELLS = 0.5  # a rise with less heat may be a lid that was shut
+HOLDS_OVER_S = 600.0  # an open lid of a minute says little of what holds the air
 RISE_GAP_S = 150.0  # after a longer time without a look there is no rate
+RISE_MARGIN = 1.3  # above the fastest rise so far: mains and room differ, and losses fell into its step
 RISE_FADES_S = 6 * HOUR_S  # time constant of the fastest rise: warm walls behind an open lid fade too
 
 
@@ -53,7 +56,7 @@ class Dose:
 
 @dataclass(frozen=True, slots=True)
 class AirRise:
-    """How fast the air was seen to rise: now, negative while it falls, and at the fastest [K/s]."""
+    """How fast the air was seen to rise: now, negative while it falls, and at most by full heat [K/s]."""
 
     time_s: float | None = None  # of the last look; None: without a good reading since
     air_c: float = 0.0
@@ -61,7 +64,8 @@ class AirRise:
         -math.inf
     )  # of the last two looks, with the heat between: what an open lid cooled comes back at once
     rate_k_s: float = 0.0
-    fastest_k_s: float = 0.0
+    fastest_k_s: float = 0.0  # without what was lost meanwhile, which `holds` tells
+    holds: float = 0.0  # mean heater duty that would have kept the air where it was
 
 
 def follow_air(rise: AirRise, now_s: float, dt_s: float, temp_air: float | None, sent: float) -> AirRise:
@@ -69,14 +73,18 @@ def follow_air(rise: AirRise, now_s: float, dt_s: float, temp_air: float | None,
     passed_s = math.inf if rise.time_s is None else now_s - rise.time_s
     if temp_air is None or not 0.0 <= passed_s <= max(RISE_GAP_S, 2.5 * dt_s):
         if temp_air is None:
-            return AirRise(fastest_k_s=rise.fastest_k_s)
-        return AirRise(now_s, temp_air, temp_air, 0.0, rise.fastest_k_s)
+            return AirRise(fastest_k_s=rise.fastest_k_s, holds=rise.holds)
+        return AirRise(now_s, temp_air, temp_air, 0.0, rise.fastest_k_s, rise.holds)
     if passed_s < RISE_OVER_S:
         return rise
     rate_k_s = (temp_air - rise.air_c) / passed_s
-    fastest_k_s = max(rate_k_s, rise.fastest_k_s * math.exp(-passed_s / RISE_FADES_S))
-    without_lid_c = rise.air_c + sent * rise.fastest_k_s * passed_s
-    return AirRise(now_s, temp_air, max(temp_air, without_lid_c), rate_k_s, fastest_k_s)
+    lost_k_s = rise.holds * rise.fastest_k_s
+    by_heat_k_s = (rate_k_s + lost_k_s) / (sent if sent >= HEAT_TELLS else 1.0)
+    fastest_k_s = max(by_heat_k_s, rise.fastest_k_s * math.exp(-passed_s / RISE_FADES_S))
+    without_lid_c = rise.air_c + (RISE_MARGIN * sent - rise.holds) * rise.fastest_k_s * passed_s
+    held = min(max(sent - rate_k_s / fastest_k_s, 0.0), 1.0) if fastest_k_s > 0.0 else 0.0
+    holds = rise.holds + (held - rise.holds) * -math.expm1(-passed_s / HOLDS_OVER_S)
+    return AirRise(now_s, temp_air, max(temp_air, without_lid_c), rate_k_s, fastest_k_s, holds)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from edge.config.settings import SafetySettings
 from edge.core.messages import ReadingQuality
 from edge.core.names import HEATER_LEVELS
 from edge.safety.box_bounds import BoxBounds
-from edge.safety.memory import DAY_S, HOUR_S, AirRise, SafetyMemory, SafetyView, heat_wh, water_s
+from edge.safety.memory import DAY_S, HOUR_S, RISE_MARGIN, AirRise, SafetyMemory, SafetyView, heat_wh, water_s
 from edge.safety.thermal_supervision import FAN_NO_EFFECT, HEATER_STUCK_ON
 
 OVER_TEMPERATURE = "over_temperature"
@@ -23,7 +23,6 @@ VALVE_STEPS_PER_S = 10
 HELD_OVER_S = 1800.0  # the mean of a controller that heats in turns is what holds the air
 DOUBT_S = 600.0  # then a box that is really cold has had time to show it by its other sensors
 NO_RISE = AirRise()
-RISE_MARGIN = 1.3  # above the fastest rise so far: mains and room differ, and losses fell into its step
 ROUNDING = 1e-9  # 0.3 is 5.999999999999999 levels of 1/20
 
 
@@ -198,7 +197,6 @@ def duty_below_trip(
     dt_s: float,
     box: BoxBounds,
     held_duty: float,
-    sent_duty: float = 0.0,
     rise: AirRise = NO_RISE,
 ) -> float:
     """Heater duty that keeps a light box below the trip through the next `dt_s`, 0..1.
@@ -206,8 +204,8 @@ def duty_below_trip(
     Two bounds: the heat that the box can store, where known, and the fastest rise of its air, where
     one was measured. Heat in the element lets the air rise on at its present rate for the element's lag.
 
-    held_duty : mean of the last minutes; only heat beyond it warms the air further
-    sent_duty : of the last command, which goes with the present rate: after less heat, less holds the air
+    held_duty : mean of the last minutes; only heat beyond it warms the air further. Of a box that is not
+        known it says nothing while the air still rises; there what held the air is measured too
     """
     if temp_air is None:  # `air_unknown` forces
         return 1.0
@@ -218,7 +216,7 @@ def duty_below_trip(
     least_j_k, seen_k = box.capacity_min_j_k, RISE_MARGIN * rise.fastest_k_s * dt_s
     full_k = box.power_max_w * dt_s / least_j_k if least_j_k > 0.0 else 0.0
     stored = held_duty + (left_k - coasts_k) / full_k if full_k > 0.0 else math.inf
-    seen = min(held_duty, sent_duty) + (left_k - coasts_k) / seen_k if seen_k > 0.0 else math.inf
+    seen = rise.holds + (left_k - coasts_k) / seen_k if seen_k > 0.0 else math.inf
     return min(1.0, stored, seen)
 
 
@@ -270,12 +268,11 @@ HEATER_LIMITS = (
             s.view.dt_s,
             s.view.box,
             s.memory.thermal.heat,
-            s.memory.sent.heater_duty,
             s.memory.rise,
         ),
         "more would bring the air to the trip",
     ),
-    Limit("heater.air_doubted", doubted_duty, "the air fell at once below the room"),
+    Limit("heater.air_doubted", doubted_duty, "the air fell faster than any air cools"),
     Limit("heater.slew", ramp_duty, "rises too fast"),
 )
 FAN_FORCED = (

@@ -47,10 +47,11 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class AirDoubt:
-    """A fall of the air that the box cannot have made, as the room is warmer."""
+    """A fall of the air that the box cannot have made. before_c : what the air had"""
 
     since_s: float
     words: str
+    before_c: float
 
 
 class SensorHealth:
@@ -121,15 +122,23 @@ class SensorHealth:
         ]
 
     def _doubt_air(self, fell_from: float | None, air: Reading, room: Reading, now: float) -> None:
-        """Doubt air that fell at once far below the room: nothing in the box cools that much."""
-        if air.value is None or room.value is None or room.quality is not ReadingQuality.GOOD:
+        """Doubt air that fell at once far below the room, which nothing in the box does. Without a good room
+        sensor the box is the witness: no air falls so far at once.
+        """
+        if air.value is None:
             return
-        if not air.value < room.value - COLD_K:
+        before_c = None if fell_from is None else measurement(self._calibration.temp_air, fell_from)
+        was_c = before_c if self.air_doubt is None else self.air_doubt.before_c
+        if room.value is not None and room.quality is ReadingQuality.GOOD:
+            least_c, why = room.value - COLD_K, f"while the room has {room.value:.1f} °C"
+        elif was_c is not None:
+            least_c, why = was_c - COLD_K, "faster than any air cools"
+        else:
+            return
+        if not air.value < least_c:
             self.air_doubt = None if air.quality is ReadingQuality.GOOD else self.air_doubt
-        elif fell_from is not None and self.air_doubt is None:
-            before_c = measurement(self._calibration.temp_air, fell_from)
-            words = f"from {before_c:.1f} to {air.value:.1f} °C, while the room has {room.value:.1f} °C"
-            self.air_doubt = AirDoubt(now, words)
+        elif before_c is not None and self.air_doubt is None:
+            self.air_doubt = AirDoubt(now, f"from {before_c:.1f} to {air.value:.1f} °C, {why}", before_c)
 
     def _unless_stuck(self, air: Reading, room: Reading, now: float, driven: Command) -> Reading:
         """Return the air's reading, called stuck where the box must have moved it."""

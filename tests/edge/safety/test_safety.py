@@ -422,44 +422,44 @@ def test_air_whose_fall_is_contradicted_gets_what_held_it_for_ten_minutes(since_
 
 
 UNKNOWN = unknown_box(60.0, "none")
-QUICK = AirRise(NOW, 38.0, 38.0, 0.0, 0.1)  # at the fastest 6 K in a minute; by its margin 7.8 K
+QUICK = AirRise(NOW, 38.0, 38.0, 0.0, 0.1)  # by full heat 6 K in a minute; with its margin 7.8 K
 
 
 @pytest.mark.parametrize(
-    ("temp_air", "dt_s", "sent", "rise", "duty"),
+    ("temp_air", "dt_s", "rise", "duty"),
     [
-        (38.0, 60.0, 0.0, QUICK, 5.0 / 7.8),
-        (38.0, 60.0, 0.2, QUICK, 0.2 + 5.0 / 7.8),
-        (38.0, 60.0, 0.5, QUICK, 1.0),
-        (38.0, 30.0, 0.0, QUICK, 1.0),
-        (42.9, 6.0, 0.0, QUICK, 0.1 / 0.78),
-        (38.0, 0.0, 0.0, QUICK, 1.0),
-        (43.0, 60.0, 0.3, QUICK, 0.3),
+        (38.0, 60.0, QUICK, 5.0 / 7.8),
+        (38.0, 60.0, replace(QUICK, holds=0.2), 0.2 + 5.0 / 7.8),
+        (38.0, 60.0, replace(QUICK, holds=0.5), 1.0),
+        (38.0, 30.0, QUICK, 1.0),
+        (42.9, 6.0, QUICK, 0.1 / 0.78),
+        (38.0, 0.0, QUICK, 1.0),
+        (43.0, 60.0, replace(QUICK, holds=0.3), 0.3),
         # Air that has just fallen, as under an open lid, comes back.
-        (30.0, 60.0, 0.0, QUICK, 5.0 / 7.8),
-        (39.0, 60.0, 0.0, QUICK, 4.0 / 7.8),
-        (38.0, 60.0, 0.0, AirRise(NOW, 38.0, 38.0, -0.1, 0.1), 5.0 / 7.8),
+        (30.0, 60.0, QUICK, 5.0 / 7.8),
+        (39.0, 60.0, QUICK, 4.0 / 7.8),
+        (38.0, 60.0, AirRise(NOW, 38.0, 38.0, -0.1, 0.1), 5.0 / 7.8),
         # Heat in the element goes on for its lag of 300 s: 0.01 K/s are 3 K.
-        (38.0, 60.0, 0.0, AirRise(NOW, 38.0, 38.0, 0.01, 0.1), 2.0 / 7.8),
-        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, 5.0 / 300.0, 0.1), 0.0),
-        (43.0, 60.0, 1.0, AirRise(NOW, 43.0, 43.0, 0.5 / 300.0, 0.1), 0.0),
-        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, 0.0166, 0.1), 0.9 + 0.02 / 7.8),
-        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, math.nan, 0.1), 0.0),
-        (38.0, 60.0, 1.0, AirRise(NOW, 38.0, 38.0, math.inf, 0.1), 0.0),
-        (38.0, 60.0, 0.0, AirRise(), 1.0),
-        (None, 60.0, 0.0, QUICK, 1.0),
+        (38.0, 60.0, AirRise(NOW, 38.0, 38.0, 0.01, 0.1), 2.0 / 7.8),
+        (38.0, 60.0, AirRise(NOW, 38.0, 38.0, 5.0 / 300.0, 0.1, 0.9), 0.0),
+        (43.0, 60.0, AirRise(NOW, 43.0, 43.0, 0.5 / 300.0, 0.1, 0.9), 0.0),
+        (38.0, 60.0, AirRise(NOW, 38.0, 38.0, 0.0166, 0.1, 0.9), 0.9 + 0.02 / 7.8),
+        (38.0, 60.0, AirRise(NOW, 38.0, 38.0, math.nan, 0.1, 0.9), 0.0),
+        (38.0, 60.0, AirRise(NOW, 38.0, 38.0, math.inf, 0.1, 0.9), 0.0),
+        (38.0, 60.0, AirRise(), 1.0),
+        (None, 60.0, QUICK, 1.0),
     ],
 )
-def test_the_measured_rise_of_an_unknown_box_keeps_its_heat_below_the_trip(temp_air, dt_s, sent, rise, duty):
-    assert duty_below_trip(temp_air, 43.0, dt_s, UNKNOWN, 0.9, sent, rise) == pytest.approx(duty)
+def test_the_measured_rise_of_an_unknown_box_keeps_its_heat_below_the_trip(temp_air, dt_s, rise, duty):
+    assert duty_below_trip(temp_air, 43.0, dt_s, UNKNOWN, 0.9, rise) == pytest.approx(duty)
 
 
 def test_the_tighter_of_both_bounds_counts():
-    both = [duty_below_trip(38.0, 43.0, 60.0, box, 0.0, 0.0, QUICK) for box in (LIGHT, UNKNOWN)]
+    both = [duty_below_trip(38.0, 43.0, 60.0, box, 0.0, QUICK) for box in (LIGHT, UNKNOWN)]
     assert both == pytest.approx([0.5, 5.0 / 7.8])
-    assert duty_below_trip(38.0, 43.0, 60.0, LIGHT, 0.9, 0.0, QUICK) == pytest.approx(5.0 / 7.8)
+    assert duty_below_trip(38.0, 43.0, 60.0, LIGHT, 0.9, QUICK) == pytest.approx(5.0 / 7.8)
     rising = AirRise(NOW, 38.0, 38.0, 0.01)
-    assert duty_below_trip(38.0, 43.0, 60.0, LIGHT, 0.0, 0.0, rising) == pytest.approx(0.2)
+    assert duty_below_trip(38.0, 43.0, 60.0, LIGHT, 0.0, rising) == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(
@@ -472,12 +472,18 @@ def test_the_tighter_of_both_bounds_counts():
         (AirRise(0.0, 27.0, 27.0), 30.0, 30.0, AirRise(NOW, 30.0, 30.0, 0.1, 0.1)),
         (AirRise(0.0, 27.0, 27.0, 0.3, 0.3), 29.0, 30.0, AirRise(NOW - 29.0, 27.0, 27.0, 0.3, 0.3)),
         (AirRise(0.0, 27.0, 27.0, 0.3, 0.3), 0.0, 30.0, AirRise(NOW, 27.0, 27.0, 0.3, 0.3)),
-        (AirRise(0.0, 27.0, 27.0, 0.0, 0.1), 60.0, None, AirRise(fastest_k_s=0.1)),
+        (AirRise(0.0, 27.0, 27.0, 0.0, 0.1, 0.4), 60.0, None, AirRise(fastest_k_s=0.1, holds=0.4)),
         (AirRise(0.0, 27.0, 27.0), 150.0, 30.0, AirRise(NOW, 30.0, 30.0, 0.02, 0.02)),
-        (AirRise(0.0, 27.0, 27.0), 151.0, 30.0, AirRise(NOW, 30.0, 30.0)),  # a gap
+        (AirRise(0.0, 27.0, 27.0, holds=0.4), 151.0, 30.0, AirRise(NOW, 30.0, 30.0, holds=0.4)),  # a gap
         (AirRise(0.0, 27.0, 27.0), -1.0, 30.0, AirRise(NOW, 30.0, 30.0)),
         # In six hours 0.1 K/s fades to 0.1 / e: this is a 360th of them.
         (AirRise(0.0, 30.0, 30.0, 0.0, 0.1), 60.0, 30.0, AirRise(NOW, 30.0, 30.0, 0.0, 0.09972)),
+        # 0.08 K/s without heat, and 0.02 lost, are 0.1 by heat; nothing was needed to hold the air.
+        (AirRise(0.0, 27.0, 27.0, 0.0, 0.1, 0.2), 60.0, 31.8,
+         AirRise(NOW, 31.8, 31.8, 0.08, 0.1, 0.2 * math.exp(-0.1))),
+        # Without heat it falls as 0.3 of its heat would have lifted it.
+        (AirRise(0.0, 31.8, 31.8, 0.0, 0.1), 60.0, 30.0,
+         AirRise(NOW, 30.0, 31.8, -0.03, 0.09972, 0.03 / 0.09972 * -math.expm1(-0.1))),
     ],
 )  # fmt: skip
 def test_the_rise_of_the_air_is_followed_over_half_a_minute(before, passed_s, temp_air, after):
@@ -488,10 +494,17 @@ def test_the_rise_of_the_air_is_followed_over_half_a_minute(before, passed_s, te
     assert astuple(found)[1:] == pytest.approx(astuple(after)[1:], rel=1e-4)
 
 
+@pytest.mark.parametrize(("sent", "by_full_k_s"), [(1.0, 0.05), (0.5, 0.1), (0.45, 0.05), (0.0, 0.05)])
+def test_the_rise_by_full_heat_follows_from_half_of_it_and_from_no_less(sent, by_full_k_s):
+    memory = SafetyMemory(sent=Command(heater_duty=sent), rise=AirRise(NOW - 60.0, 27.0, 27.0))
+    assert judge(seen=view(air=30.0), memory=memory).memory.rise.fastest_k_s == pytest.approx(by_full_k_s)
+
+
 def test_heat_that_did_not_show_comes_back_when_the_lid_is_shut():
-    """0.8 of 0.1 K/s for 60 s are 4.8 K above the 30 °C of the last look, though the air fell."""
-    memory = SafetyMemory(sent=Command(heater_duty=0.8), rise=AirRise(NOW - 60.0, 30.0, 30.0, 0.0, 0.1))
-    assert judge(seen=view(air=29.0), memory=memory).memory.rise.highest_c == pytest.approx(34.8)
+    """0.8 of 0.1 K/s with its margin, without the 0.2 that held the air, for 60 s: above the last look."""
+    rise = AirRise(NOW - 60.0, 30.0, 30.0, 0.0, 0.1, 0.2)
+    memory = SafetyMemory(sent=Command(heater_duty=0.8), rise=rise)
+    assert judge(seen=view(air=29.0), memory=memory).memory.rise.highest_c == pytest.approx(35.04)
 
 
 @pytest.mark.parametrize(

@@ -384,7 +384,9 @@ def one_tick(
         (17.4, 21.4, False),  # 4 K: wet soil cools the air by less
         (18.0, 21.4, False),  # a lid that is opened lets in the room
         (0.0, 3.0, False),  # and a cold one too
-        (0.0, None, False),  # no witness
+        (0.0, None, True),
+        (16.9, None, True),
+        (17.0, None, False),
         (45.0, 60.0, False),  # the air rose: more heat is not asked for
     ],
 )
@@ -393,11 +395,16 @@ def test_air_that_fell_at_once_below_the_room_is_doubted(air_c, room_c, is_doubt
     assert (doubt is not None) is is_doubted
     if doubt is not None:
         assert doubt.since_s == 9.0
-        assert doubt.words == f"from 21.0 to {air_c:.1f} °C, while the room has 21.4 °C"
+        why = "faster than any air cools" if room_c is None else "while the room has 21.4 °C"
+        assert doubt.words == f"from 21.0 to {air_c:.1f} °C, {why}"
 
 
-def test_a_room_that_is_not_known_is_no_witness():
-    assert fallen(0.0, 21.4, ReadingQuality.FAULT).air_doubt is None
+def test_without_a_good_room_sensor_a_doubt_lasts_until_the_air_is_near_what_it_was():
+    sensors = fallen(0.0, 3.0, ReadingQuality.FAULT)
+    for start_s, value, is_doubted in ((60.0, 0.0, True), (120.0, 16.9, True), (180.0, 17.1, False)):
+        for later_s in (0.0, 10.0):  # a step up is told once
+            one_tick(sensors, start_s + later_s, [value] * 10, None)
+        assert (sensors.air_doubt is not None) is is_doubted
 
 
 def test_air_that_cools_slowly_is_not_doubted_nor_air_that_was_cold_from_the_start():
