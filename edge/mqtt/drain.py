@@ -10,33 +10,16 @@ from typing import Protocol
 
 from paho.mqtt.client import Client
 
+from edge.storage import OutboxMessage
+
 BATCH_ROWS = 500  # rows read, and forgotten, in one go
 REFUSED_PAUSE_S = 30.0  # a broker that refuses (access list, quota) is asked again after this long
-
-
-class QueuedMessage(Protocol):
-    """One message that waits."""
-
-    @property
-    def id(self) -> int:
-        """Row id, handed to `acknowledge`."""
-        ...
-
-    @property
-    def topic(self) -> str:
-        """Full topic, with prefix and rig."""
-        ...
-
-    @property
-    def payload(self) -> str | bytes:
-        """JSON with history id and sequence number, which identify a duplicate."""
-        ...
 
 
 class MessageQueue(Protocol):
     """Rows in the order they were written, resent ones last; a row leaves by `acknowledge` alone."""
 
-    def pending(self, limit: int) -> Sequence[QueuedMessage]:
+    def pending(self, limit: int) -> Sequence[OutboxMessage]:
         """Return at most `limit` messages, those in flight included."""
         ...
 
@@ -60,8 +43,8 @@ class Drain:
         self._outbox, self._client, self._clock = outbox, client, clock
         self.window = BATCH_ROWS  # most in flight at once
         self.refusal = ""  # the broker's last word against a row; "" since it took one
-        self._waiting: deque[QueuedMessage] = deque()  # read, not given to the client yet
-        self._in_flight: deque[tuple[int, QueuedMessage]] = deque()  # message id, row
+        self._waiting: deque[OutboxMessage] = deque()  # read, not given to the client yet
+        self._in_flight: deque[tuple[int, OutboxMessage]] = deque()  # message id, row
         self._taken: list[int] = []
         self._answers: dict[int, str] = {}  # message id -> "" or why it was refused
         self._pause_until = 0.0

@@ -7,12 +7,13 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from edge.config.settings import HistorySettings
 from edge.core.hard_limits import STEP_MIN_S
 from edge.core.messages import TickRecord
 from edge.formats.owner import open_database
 from edge.storage.facts import insert_learnt
 from edge.storage.file import SliceCheck, Unusable, connect, identity
-from edge.storage.retention import RetentionSettings, thin
+from edge.storage.retention import thin
 from edge.storage.schema_version import SCHEMA_VERSION
 from edge.storage.tick_rows import insert_ticks
 
@@ -140,7 +141,7 @@ class Archive:
             "UPDATE sessions SET ended_utc = ? WHERE session = ?", (utc, self._session_id)
         )
 
-    def thin(self, settings: RetentionSettings) -> tuple[bool, int]:
+    def thin(self, settings: HistorySettings) -> tuple[bool, int]:
         """One chunk of retention, see `retention.thin`."""
         return thin(self.open_connection(), settings)
 

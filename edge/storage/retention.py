@@ -9,7 +9,8 @@ the ticks around it, and none waits for it. Those of a named run are kept.
 import json
 import math
 import sqlite3
-from typing import Protocol
+
+from edge.config.settings import HistorySettings
 
 WINDOW_S = 600  # width of a row of `ten_minutes`
 CHUNK_ROWS = 500  # ticks thinned, and rows deleted per table, in one transaction
@@ -40,21 +41,7 @@ ON CONFLICT DO UPDATE SET  -- a window that an earlier chunk began
 """
 
 
-class RetentionSettings(Protocol):
-    """The part of edge.config.settings.HistorySettings that retention needs."""
-
-    @property
-    def retention_days(self) -> float:
-        """Age at which ten-minute rows, skill, events and gaps are deleted [days]."""
-        ...
-
-    @property
-    def downsample_after_days(self) -> float:
-        """Age at which ticks become ten-minute rows [days]; ticks of a named run never do."""
-        ...
-
-
-def thin(connection: sqlite3.Connection, settings: RetentionSettings) -> tuple[bool, int]:
+def thin(connection: sqlite3.Connection, settings: HistorySettings) -> tuple[bool, int]:
     """Do one chunk. Returns whether more is to be done, and how many unsent messages were dropped."""
     connection.execute("BEGIN IMMEDIATE")
     try:

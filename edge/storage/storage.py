@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
 
+from edge.config.settings import HistorySettings
 from edge.core.clock import Clock
 from edge.core.messages import Event, Severity, TickRecord
 from edge.storage.archive import Archive, NumberGap, Session
@@ -22,34 +22,10 @@ RETRY_MAX_S = 30.0
 CLOSE_S = 5.0  # a history that can't be written may hold up the end of the daemon this long
 
 
-class HistoryOptions(Protocol):
-    """The part of edge.config.settings.HistorySettings that the storage needs."""
-
-    @property
-    def path(self) -> str:
-        """Database file; the file of reserved numbers stands alongside."""
-        ...
-
-    @property
-    def retention_days(self) -> float:
-        """Age at which rows are deleted [days], see `RetentionSettings`."""
-        ...
-
-    @property
-    def downsample_after_days(self) -> float:
-        """Age at which ticks become ten-minute rows [days], see `RetentionSettings`."""
-        ...
-
-    @property
-    def queue_ticks(self) -> int:
-        """Ticks that may wait for a slow disk; beyond that the oldest one is dropped and counted."""
-        ...
-
-
 class Storage:
     """Writes ticks in a thread of its own, and tells its faults instead of raising them."""
 
-    def __init__(self, settings: HistoryOptions, clock: Clock, session: Session | None = None) -> None:
+    def __init__(self, settings: HistorySettings, clock: Clock, session: Session | None = None) -> None:
         self._settings = settings
         self._clock = clock
         self._session = session or Session()

@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from edge.tick.status import reply_json
 
@@ -32,14 +32,6 @@ def is_in_force(reply: Reply) -> bool:
     return "operation" in reply or reply.get("ok") is True
 
 
-class AnswerPlace(Protocol):
-    """The place an answer goes to; never waits."""
-
-    def put(self, reply: Reply, /) -> None:
-        """Take the answer, once per request and from any thread."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class _Answers:
     """The places of all who sent one request."""
@@ -56,7 +48,7 @@ class Letter:
     """One request on its way, with the place its answer goes to."""
 
     request: Request
-    answer: AnswerPlace = field(default_factory=lambda: _Answers([]))
+    answer: _Answers = field(default_factory=lambda: _Answers([]))
 
 
 class Inbox:
