@@ -293,14 +293,6 @@ class Order:
     keys: type = NoKeys
 
 
-def _set_mode(operation: Operation, asked: SetMode, desk: Desk) -> Operation:
-    return replace(operation, mode=asked.mode)
-
-
-def _set_fan_mode(operation: Operation, asked: SetFanMode, desk: Desk) -> Operation:
-    return replace(operation, fan_mode=asked.fan_mode)
-
-
 def _set_reference(operation: Operation, asked: SetReference, desk: Desk) -> Operation:
     if asked.reference_c is None:
         return replace(operation, reference_c=None)
@@ -324,14 +316,6 @@ def _set_manual(operation: Operation, asked: SetManual, desk: Desk) -> Operation
     led = stands.led if asked.led is None else asked.led
     manual = Command(math.floor(duty * HEATER_LEVELS + 1e-9) / HEATER_LEVELS, fan_on, led)
     return replace(operation, mode=Mode.MANUAL, manual=manual)
-
-
-def _emergency_stop(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
-    return replace(operation, emergency_stop=True)
-
-
-def _release(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
-    return replace(operation, emergency_stop=False)
 
 
 def _maintenance(operation: Operation, asked: StartMaintenance, desk: Desk) -> Operation:
@@ -368,18 +352,17 @@ def _start_profile(operation: Operation, asked: StartProfile, desk: Desk) -> Ope
     return replace(operation, reference_c=None, steering=steering, before=None, profile=profile)
 
 
+def _in_profile(**changes: Any) -> Callable[[Operation, NoKeys, Desk], Operation]:
+    """Return an order that changes the profile that is followed."""
+    return lambda operation, asked, desk: replace(
+        operation, profile=replace(_profile_of(operation), **changes)
+    )
+
+
 def _profile_of(operation: Operation) -> StandingProfile:
     if operation.profile is None:
         raise RequestError("no profile is followed")
     return operation.profile
-
-
-def _pause_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
-    return replace(operation, profile=replace(_profile_of(operation), is_paused=True))
-
-
-def _resume_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
-    return replace(operation, profile=replace(_profile_of(operation), is_paused=False))
 
 
 def _skip_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
@@ -421,10 +404,6 @@ def _calibrate_point(operation: Operation, asked: CalibratePoint, desk: Desk) ->
     return replace(operation, points=(*operation.points, point))
 
 
-def _discard_points(operation: Operation, asked: OneSignal, desk: Desk) -> Operation:
-    return _without(operation, asked.signal)
-
-
 def _apply_calibration(operation: Operation, asked: OneSignal, desk: Desk) -> Operation:
     after = _without(operation, asked.signal)
     found = new_calibration(_points_of(operation, asked.signal), _sensors_of(desk), desk.utc)
@@ -439,23 +418,25 @@ def _reset_calibration(operation: Operation, asked: OneSignal, desk: Desk) -> Op
 
 
 ORDERS: dict[str, Order] = {
-    "set_mode": Order(_set_mode, SetMode),
-    "set_fan_mode": Order(_set_fan_mode, SetFanMode),
+    "set_mode": Order(lambda operation, asked, desk: replace(operation, mode=asked.mode), SetMode),
+    "set_fan_mode": Order(
+        lambda operation, asked, desk: replace(operation, fan_mode=asked.fan_mode), SetFanMode
+    ),
     "set_reference": Order(_set_reference, SetReference),
     "set_controller": Order(_set_controller, SetController),
     "set_manual": Order(_set_manual, SetManual),
-    "emergency_stop": Order(_emergency_stop),
-    "release_emergency_stop": Order(_release),
+    "emergency_stop": Order(lambda operation, asked, desk: replace(operation, emergency_stop=True)),
+    "release_emergency_stop": Order(lambda operation, asked, desk: replace(operation, emergency_stop=False)),
     "maintenance": Order(_maintenance, StartMaintenance),
     "steer": Order(_steer, Steer),
     "undo": Order(_undo),
     "start_profile": Order(_start_profile, StartProfile),
-    "pause_profile": Order(_pause_profile),
-    "resume_profile": Order(_resume_profile),
+    "pause_profile": Order(_in_profile(is_paused=True)),
+    "resume_profile": Order(_in_profile(is_paused=False)),
     "skip_profile": Order(_skip_profile),
     "end_profile": Order(_end_profile),
     "calibrate_point": Order(_calibrate_point, CalibratePoint),
-    "discard_points": Order(_discard_points, OneSignal),
+    "discard_points": Order(lambda operation, asked, desk: _without(operation, asked.signal), OneSignal),
     "apply_calibration": Order(_apply_calibration, OneSignal),
     "reset_calibration": Order(_reset_calibration, OneSignal),
 }
