@@ -5,7 +5,7 @@ page that `status` prints.
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from datetime import datetime
 from pathlib import Path
@@ -126,7 +126,7 @@ def _degrees(value: float | None) -> str:
 
 
 Request = dict[str, Any]
-Fill = Callable[[argparse.ArgumentParser], None]
+Arguments = Mapping[str, Mapping[str, Any]]  # name -> options of `add_argument`
 
 
 def _target(text: str) -> float | None:
@@ -137,102 +137,71 @@ def _name(text: str) -> str | None:
     return None if text == "none" else text
 
 
-def _mode(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "mode",
-        choices=[mode.value for mode in Mode],
-        help="auto: heater and fan; heat: heater alone; fan_only: fan alone; off: neither; "
+_SHARE = number(0.0, 1.0)
+_PROPOSAL: Arguments = {"id": {"help": "as `greenhouse ask` has printed it"}}
+_WHY: Arguments = {"--why": {"default": "", "help": "your reason, for `greenhouse memory`"}}
+_MODE: Arguments = {
+    "mode": {
+        "choices": [mode.value for mode in Mode],
+        "help": "auto: heater and fan; heat: heater alone; fan_only: fan alone; off: neither; "
         "manual: as `greenhouse manual` set them",
-    )
-
-
-def _fan(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "fan_mode", choices=[mode.value for mode in FanMode], help="auto: the controller decides"
-    )
-
-
-def _reference(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "reference_c",
-        metavar="DEGC|none",
-        type=_target,
-        help="temperature of the air [°C], or none: as configured",
-    )
-
-
-def _controller(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name", type=_name, help="a name from `greenhouse demo --help`; none: as configured")
-
-
-def _manual(parser: argparse.ArgumentParser) -> None:
-    share = number(0.0, 1.0)
-    parser.add_argument(
-        "--heater-duty", type=share, default=0.0, help="heater, 0 to 1 of full power; default: 0"
-    )
-    parser.add_argument("--fan-on", type=int, choices=(0, 1), default=0, help="fan: 1 on, 0 off; default: 0")
-    parser.add_argument("--led", type=share, default=0.0, help="light, 0 to 1 of full; default: 0")
-
-
-def _maintenance(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "minutes",
-        type=number(0.0, MAINTENANCE_MAX_MIN),
-        help=f"minutes after which it ends by itself, up to {MAINTENANCE_MAX_MIN:g}; 0 ends it now",
-    )
-
-
-def _resend(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("first_seq", type=whole(1), help="number of the first tick")
-    parser.add_argument("last_seq", type=whole(1), help="number of the last tick")
-
-
-def _proposal(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("id", help="as `greenhouse ask` has printed it")
-
-
-def _why(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--why", default="", help="your reason, for `greenhouse memory`")
-
-
-def _discard(parser: argparse.ArgumentParser) -> None:
-    _proposal(parser)
-    _why(parser)
-
-
-def _status(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print everything as JSON, for programs")
-
-
-def _nothing(parser: argparse.ArgumentParser) -> None:
-    pass
-
-
-ORDERS: dict[str, tuple[str, str, Fill]] = {  # command -> request, help, arguments
-    "status": ("status", "show what the rig measures, drives and was ordered to do", _status),
-    "mode": ("set_mode", "choose what may run: auto, heat, fan_only, off, manual", _mode),
-    "fan": ("set_fan_mode", "let the controller decide on the fan (auto), or on, off", _fan),
-    "reference": ("set_reference", "set the temperature to hold, or none: as configured", _reference),
-    "controller": ("set_controller", "change the controller while it runs", _controller),
-    "manual": ("set_manual", "fix heater, fan and light until the mode changes", _manual),
-    "emergency-stop": ("emergency_stop", "turn everything off, the fan too, until `release`", _nothing),
-    "release": ("release_emergency_stop", "end an emergency stop", _nothing),
-    "clear-trip": ("clear_trip", "end an over-temperature trip once its cause is gone", _nothing),
+    }
+}
+_FAN: Arguments = {
+    "fan_mode": {"choices": [mode.value for mode in FanMode], "help": "auto: the controller decides"}
+}
+_REFERENCE: Arguments = {
+    "reference_c": {
+        "metavar": "DEGC|none",
+        "type": _target,
+        "help": "temperature of the air [°C], or none: as configured",
+    }
+}
+_CONTROLLER: Arguments = {
+    "name": {"type": _name, "help": "a name from `greenhouse demo --help`; none: as configured"}
+}
+_MANUAL: Arguments = {
+    "--heater-duty": {"type": _SHARE, "default": 0.0, "help": "heater, 0 to 1 of full power; default: 0"},
+    "--fan-on": {"type": int, "choices": (0, 1), "default": 0, "help": "fan: 1 on, 0 off; default: 0"},
+    "--led": {"type": _SHARE, "default": 0.0, "help": "light, 0 to 1 of full; default: 0"},
+}
+_MAINTENANCE: Arguments = {
+    "minutes": {
+        "type": number(0.0, MAINTENANCE_MAX_MIN),
+        "help": f"minutes after which it ends by itself, up to {MAINTENANCE_MAX_MIN:g}; 0 ends it now",
+    }
+}
+_RESEND: Arguments = {
+    "first_seq": {"type": whole(1), "help": "number of the first tick"},
+    "last_seq": {"type": whole(1), "help": "number of the last tick"},
+}
+_STATUS: Arguments = {"--json": {"action": "store_true", "help": "print everything as JSON, for programs"}}
+ORDERS: dict[str, tuple[str, str, Arguments]] = {  # command -> request, help, arguments
+    "status": ("status", "show what the rig measures, drives and was ordered to do", _STATUS),
+    "mode": ("set_mode", "choose what may run: auto, heat, fan_only, off, manual", _MODE),
+    "fan": ("set_fan_mode", "let the controller decide on the fan (auto), or on, off", _FAN),
+    "reference": ("set_reference", "set the temperature to hold, or none: as configured", _REFERENCE),
+    "controller": ("set_controller", "change the controller while it runs", _CONTROLLER),
+    "manual": ("set_manual", "fix heater, fan and light until the mode changes", _MANUAL),
+    "emergency-stop": ("emergency_stop", "turn everything off, the fan too, until `release`", {}),
+    "release": ("release_emergency_stop", "end an emergency stop", {}),
+    "clear-trip": ("clear_trip", "end an over-temperature trip once its cause is gone", {}),
     "maintenance": (
         "maintenance",
         "turn everything off, the fan too: hands are inside",
-        _maintenance,
+        _MAINTENANCE,
     ),
-    "confirm": ("confirm", "apply a proposal of `greenhouse ask`", _proposal),
-    "discard": ("discard", "put a proposal of `greenhouse ask` away", _discard),
-    "undo": ("undo", "take back what was confirmed last", _why),
-    "resend": ("resend", "publish recorded ticks over MQTT again", _resend),
+    "confirm": ("confirm", "apply a proposal of `greenhouse ask`", _PROPOSAL),
+    "discard": ("discard", "put a proposal of `greenhouse ask` away", {**_PROPOSAL, **_WHY}),
+    "undo": ("undo", "take back what was confirmed last", _WHY),
+    "resend": ("resend", "publish recorded ticks over MQTT again", _RESEND),
 }
 
 
 def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
     """Arguments of one of ORDERS."""
-    ORDERS[name][2](parser)
+    for argument, options in ORDERS[name][2].items():
+        parser.add_argument(argument, **options)
     add_socket(parser)
 
 
