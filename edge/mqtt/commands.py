@@ -97,19 +97,11 @@ def _controller(text: str, reference: ReferenceSettings) -> Request:
     return {"do": "set_controller", "name": name}
 
 
-def _maintenance(text: str, reference: ReferenceSettings) -> Request:
-    return {"do": "maintenance", "minutes": _number(text, 0.0, MAINTENANCE_MAX_MIN)}
-
-
 def _manual(text: str, reference: ReferenceSettings) -> Request:
     values = _values(SetManual, text)
     if not values:
         raise RequestError("payload must hold heater_duty, fan_on or led")
     return {"do": "set_manual", **values}
-
-
-def _resend(text: str, reference: ReferenceSettings) -> Request:
-    return {"do": "resend", **_values(Resend, text)}
 
 
 def _install_bundle(text: str, reference: ReferenceSettings) -> Request:
@@ -118,10 +110,6 @@ def _install_bundle(text: str, reference: ReferenceSettings) -> Request:
 
 def _rollback_bundle(text: str, reference: ReferenceSettings) -> Request:
     return {"do": "bundle", "action": remote.ROLL_BACK, **_values(RemoteRollback, text)}
-
-
-def _wish(text: str, reference: ReferenceSettings) -> Request:
-    return {"do": "ask", "words": text}
 
 
 def _stop(payload: bytes) -> Request:
@@ -207,15 +195,18 @@ _PARSERS: Mapping[str, Callable[[str, ReferenceSettings], Request]] = {
     "fan_mode": _fan_mode,
     "controller": _controller,
     "manual": _manual,
-    "maintenance": _maintenance,
-    "resend": _resend,
+    "maintenance": lambda text, reference: {
+        "do": "maintenance",
+        "minutes": _number(text, 0.0, MAINTENANCE_MAX_MIN),
+    },
+    "resend": lambda text, reference: {"do": "resend", **_values(Resend, text)},
     "release_emergency_stop": _press({"do": "release_emergency_stop"}),
     "clear_trip": _press({"do": "clear_trip"}),
     "follow_schedule": _press({"do": "set_reference", "reference_c": None}),
     "commission": _press({"do": "commission"}),
     "end_commissioning": _press({"do": "commission", "end": True}),
     "status": _press({"do": "status"}),
-    "ask": _wish,
+    "ask": lambda text, reference: {"do": "ask", "words": text},
     "confirm": _on_proposal("confirm"),
     "discard": _discard,
     "undo": _press({"do": "undo"}),
