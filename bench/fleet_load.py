@@ -31,7 +31,7 @@ from edge.mqtt import states
 from edge.tick.orders import Operation
 from edge.tick.status import LoopStatus, status_json
 from fleet.database.base import open_database
-from fleet.database.rigs import FleetRig, StoredSpan
+from fleet.database.tables import FleetRig, StoredSpan
 from fleet.settings import DatabaseSettings
 from tests.support.broker import Broker, wait_for
 from tests.support.daemon_process import ROOT, DaemonProcess

@@ -22,9 +22,8 @@ from bench.fleet_rollout.fleet_costs import HOURS, LEARNING, SimulatedCosts, fle
 from bench.header import header
 from edge.bundle import remote
 from fleet.database.base import open_database
-from fleet.database.bundles import BundleRollout, FleetBundle, RolloutWave
 from fleet.database.lease import FleetLease
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import BundleRollout, FleetBundle, FleetRig, RolloutWave
 from fleet.rollout.begin import begin
 from fleet.rollout.blocks import BEFORE_S
 from fleet.rollout.judge import HOUR_S, HourCost

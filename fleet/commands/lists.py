@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from edge.commands.arguments import number
 from fleet.database.base import open_database
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig
 from fleet.jobs.changes import changes
 from fleet.machine.alarm_rules import alarm_rules
 from fleet.settings import FleetSettings

@@ -13,8 +13,8 @@ from sqlalchemy.orm import Session
 
 from edge.commands.arguments import whole
 from fleet.database.base import open_database
-from fleet.database.bundles import BundleRollout
 from fleet.database.lease import FleetLease, LeaseLost
+from fleet.database.tables import BundleRollout
 from fleet.rollout.archives import add_archive
 from fleet.rollout.begin import begin, go_on_by_person, rigs_of, stop_by_person
 from fleet.rollout.blocks import costs_from

@@ -4,10 +4,11 @@ from typing import Any
 
 from sqlalchemy import Engine, create_engine, event, make_url, select, text
 from sqlalchemy.exc import SQLAlchemyError
-from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
+from sqlalchemy.orm import Session
 
 from edge.config.secrets import read_secret
 from edge.core.errors import DataError
+from fleet.database.tables import FleetTable, TableVersion
 from fleet.settings import DatabaseSettings
 
 VERSION = 1  # of the tables
@@ -23,25 +24,11 @@ POSTGRES = {  # libpq: a server whose machine is gone is noticed after half a mi
 }
 
 
-class FleetTable(DeclarativeBase):
-    """Root of every table."""
-
-
-class TableVersion(FleetTable):
-    """One row: the version that made the tables."""
-
-    __tablename__ = "table_version"
-    version: Mapped[int] = mapped_column(primary_key=True)
-
-
 def open_database(settings: DatabaseSettings) -> Engine:
     """Open it; tables that are missing are made.
 
     Errors : DataError for a database that cannot be reached or whose tables are of another version
     """
-    # Every table has to be known before they are made.
-    from fleet.database import tables  # noqa: F401
-
     url = make_url(settings.url)
     if settings.password_file:
         url = url.set(password=read_secret(settings.password_file, "database.password_file").value)

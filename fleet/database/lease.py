@@ -14,33 +14,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
-from sqlalchemy import BigInteger, CursorResult, Engine, String, insert, update
+from sqlalchemy import CursorResult, Engine, insert, update
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
-from sqlalchemy.orm import Mapped, Session, mapped_column
+from sqlalchemy.orm import Session
 
 from edge.core.errors import GreenhouseError
-from fleet.database.base import FleetTable
-from fleet.database.rigs import NAME_MAX
+from fleet.database.tables import MACHINE_MAX, WorkLease
 
-MACHINE_MAX = 128
 LEASE_S = 60.0  # without a beat, after which a holder of another machine is taken for dead
 BEAT_S = 10.0
 POLL_S = 2.0
-
-
-class WorkLease(FleetTable):
-    """A work and its holder. beat : rises while the holder lives
-
-    holder : drawn anew for each, "" for nobody; machine : where its pid is one; host : a name for people
-    """
-
-    __tablename__ = "leases"
-    work: Mapped[str] = mapped_column(String(NAME_MAX), primary_key=True)
-    holder: Mapped[str] = mapped_column(String(NAME_MAX))
-    machine: Mapped[str] = mapped_column(String(MACHINE_MAX))
-    host: Mapped[str] = mapped_column(String(MACHINE_MAX))
-    pid: Mapped[int] = mapped_column(BigInteger)
-    beat: Mapped[int] = mapped_column(BigInteger)
 
 
 class LeaseLost(GreenhouseError):

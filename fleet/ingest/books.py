@@ -8,9 +8,7 @@ from typing import Any, cast
 from sqlalchemy import Engine, TableClause, bindparam, delete, insert, select, update
 from sqlalchemy.orm import Session
 
-from fleet.database.events import Refusal, RigEvent
-from fleet.database.rigs import AbsentSpan, FleetRig, StoredSpan
-from fleet.database.twins import ToldTwin
+from fleet.database.tables import AbsentSpan, FleetRig, Refusal, RigEvent, StoredSpan, ToldTwin
 from fleet.ingest.ledger import HistoryLedger, changed_spans
 from fleet.ingest.state import HeardTwin
 from fleet.ingest.tick import Tick

@@ -3,8 +3,7 @@
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from fleet.database.events import RigEvent
-from fleet.database.twins import RigDiagnosis
+from fleet.database.tables import RigDiagnosis, RigEvent
 
 KEYS = ("twin.disagrees", "twin.agrees_again", "diagnosis.done", "diagnosis.adopted")
 Line = tuple[float, str]  # utc, a sentence

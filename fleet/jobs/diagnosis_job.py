@@ -21,8 +21,7 @@ from edge.diagnosis.history_runs import history_runs
 from edge.diagnosis.runs import DiagnosisRuns
 from edge.formats.run_file import RecordedRun
 from edge.twin.twin_file import TwinFile, twin_of
-from fleet.database.events import RigEvent
-from fleet.database.twins import RigDiagnosis, ToldTwin
+from fleet.database.tables import RigDiagnosis, RigEvent, ToldTwin
 from fleet.ingest.tick import QUALITIES
 from fleet.numbers.series import PREFIX, SEQ, any_of
 from fleet.numbers.victoria import Numbers

@@ -14,8 +14,8 @@ from sqlalchemy.orm import Session
 from edge.config.settings import Settings
 from edge.core.errors import DataError, RequestError
 from edge.mqtt.telemetry import remove as remove_retained
-from fleet.database.base import FleetTable, open_database
-from fleet.database.rigs import FleetRig
+from fleet.database.base import open_database
+from fleet.database.tables import FleetRig, FleetTable
 from fleet.machine.places import FleetMachine, FleetPlaces
 from fleet.machine.rig_papers import (
     RigPaper,

@@ -13,8 +13,7 @@ from sqlalchemy.orm import Session
 from edge.core.plain_text import plain, quote
 from edge.formats.cross_check import CheckedDocument
 from edge.formats.reader import DocumentError, Foreign, read
-from fleet.database.alarms import TEXT_MAX, FleetAlarm
-from fleet.database.rigs import NAME_MAX, FleetRig
+from fleet.database.tables import NAME_MAX, TEXT_MAX, FleetAlarm, FleetRig
 
 Json = dict[str, Any]
 

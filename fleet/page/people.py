@@ -12,7 +12,7 @@ from edge.core.errors import RequestError
 from edge.core.plain_text import plain
 from edge.page.access import SEEN_EVERY_S, SESSION_S, Role
 from edge.page.secret_hashes import NOBODY, hash_secret, is_password, new_password, person_name
-from fleet.database.people import BROWSER_MAX, FleetPerson, FleetRight, FleetSession
+from fleet.database.tables import BROWSER_MAX, FleetPerson, FleetRight, FleetSession
 
 EVERY = "*"  # group: all of them, and the rigs that have none
 

@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import Engine, Row, select
 from sqlalchemy.orm import Session
 
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig
 from fleet.page.standing import RigFinding, Standing, find, number_of
 
 Json = dict[str, Any]

@@ -17,8 +17,7 @@ from edge.formats.reader import DocumentError
 from edge.page.access import Role
 from edge.page.answers import NotAllowed, answer, document, in_thread, number, text
 from edge.page.cookie import delete_cookie, secret_of, set_cookie
-from fleet.database.alarms import FleetOrder
-from fleet.database.twins import ToldTwin
+from fleet.database.tables import FleetOrder, ToldTwin
 from fleet.page import series
 from fleet.page.alarm_shelf import read_alerts
 from fleet.page.fleet_page import FleetPage, refuse_below, row_number

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from fleet.database.rigs import SILENT_S
+from fleet.database.tables import SILENT_S
 
 OFF_REFERENCE_K = 1.0  # a rig at rest stays within a tenth of it
 

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 from edge.bundle.archive import open_archive, unpack
 from edge.bundle.check import check_folder
 from edge.core.errors import DataError
-from fleet.database.bundles import FleetBundle
+from fleet.database.tables import FleetBundle
 
 SUFFIX = ".zip"
 BUNDLES = "/bundles"  # of the fleet's page

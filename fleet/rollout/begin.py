@@ -9,8 +9,7 @@ from sqlalchemy import Engine, select, update
 from sqlalchemy.orm import Session
 
 from edge.core.errors import RequestError
-from fleet.database.bundles import BundleRollout, FleetBundle, RolloutRig, RolloutWave
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import BundleRollout, FleetBundle, FleetRig, RolloutRig, RolloutWave
 from fleet.rollout.judge import JudgeRules
 from fleet.rollout.states import OPEN, RigState, RolloutState, WaveState
 from fleet.settings import RolloutSettings

@@ -10,8 +10,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from edge.lab.cost import step_cost
-from fleet.database.bundles import RolloutBlock, RolloutRig, RolloutWave
-from fleet.database.rigs import FleetRig, are_there
+from fleet.database.tables import FleetRig, RolloutBlock, RolloutRig, RolloutWave, are_there
 from fleet.numbers.series import PREFIX, any_of
 from fleet.numbers.victoria import Numbers
 from fleet.rollout.judge import BLOCK_H, DAY_H, HOUR_S, HourCost, difference, relative_change

@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, Engine, and_, func, or_, select, true
 from sqlalchemy.orm import Session
 
 from edge.core.plain_text import plain
-from fleet.database.bundles import BundleRollout, RolloutRig, RolloutWave
+from fleet.database.tables import BundleRollout, RolloutRig, RolloutWave
 from fleet.rollout.begin import rules_of
 from fleet.rollout.states import (
     ANSWER_MAX_S,

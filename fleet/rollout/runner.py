@@ -12,8 +12,7 @@ from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
 from edge.core.errors import DataError
-from fleet.database.bundles import BundleRollout, RolloutBlock, RolloutRig, RolloutWave
-from fleet.database.rigs import FleetRig, are_there
+from fleet.database.tables import BundleRollout, FleetRig, RolloutBlock, RolloutRig, RolloutWave, are_there
 from fleet.rollout.archives import archive_url
 from fleet.rollout.begin import KindRigs, choose_wave, is_last, lock, rigs_of, rules_of, stop
 from fleet.rollout.blocks import Costs, due, take_block, who_compares

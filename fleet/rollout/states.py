@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from edge.bundle import remote
-from fleet.database.bundles import RolloutRig
+from fleet.database.tables import RolloutRig
 
 
 class RolloutState(StrEnum):

@@ -12,8 +12,7 @@ from edge.__main__ import main
 from edge.page.access import Role
 from fleet.commands.work import seconds_until
 from fleet.database.base import open_database
-from fleet.database.bundles import BundleRollout
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import BundleRollout, FleetRig
 from fleet.page.people import People
 from fleet.settings import DatabaseSettings
 from tests.support.held_rollout import add_held_rollout

@@ -15,7 +15,7 @@ from edge.config.settings import PageSettings
 from edge.page.access import Role
 from edge.page.server import config_of, listen
 from fleet.database.base import open_database
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig
 from fleet.page.app import make_fleet_app
 from fleet.page.people import EVERY, People
 from fleet.settings import DatabaseSettings, FleetPageSettings, FleetSettings

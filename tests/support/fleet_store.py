@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
-from fleet.database.rigs import StoredSpan
+from fleet.database.tables import StoredSpan
 from fleet.numbers.series import selector
 from fleet.numbers.victoria import Numbers, NumbersError
 from tests.support.fleet_rig import RigWithoutBoard

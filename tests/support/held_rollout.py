@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from sqlalchemy.orm import Session
 
-from fleet.database.bundles import BundleRollout, FleetBundle, RolloutRig, RolloutWave
+from fleet.database.tables import BundleRollout, FleetBundle, RolloutRig, RolloutWave
 from fleet.rollout.states import RigState, RolloutState, WaveState
 from fleet.settings import RolloutSettings
 

@@ -15,7 +15,7 @@ from edge.core.errors import DataError
 from edge.core.processes import die_with_parent
 from fleet.database.base import open_database
 from fleet.database.lease import FleetLease, LeaseLost, WorkLease
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig
 from fleet.settings import DatabaseSettings
 from tests.support.broker import wait_for
 from tests.support.daemon_process import ROOT

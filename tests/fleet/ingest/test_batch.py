@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from edge.formats.tick_json import tick_json
 from edge.twin.twin_file import twin_of
 from fleet.database.base import open_database
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig
 from fleet.ingest.batch import Batch, Times
 from fleet.ingest.books import Books, Entry
 from fleet.ingest.inbox import Message

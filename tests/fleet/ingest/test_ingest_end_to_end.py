@@ -15,10 +15,7 @@ from edge.mqtt.telemetry import remove as remove_retained
 from edge.twin.twin_file import TwinFile, twin_of, write_twin_file
 from edge.twin.value import Value
 from fleet.database.base import open_database
-from fleet.database.events import RigEvent
-from fleet.database.lease import WorkLease
-from fleet.database.rigs import SILENT_S, FleetRig, StoredSpan, are_there
-from fleet.database.twins import ToldTwin
+from fleet.database.tables import SILENT_S, FleetRig, RigEvent, StoredSpan, ToldTwin, WorkLease, are_there
 from fleet.machine.rig_register import erase_rig
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, NumbersSettings

@@ -15,8 +15,7 @@ from sqlalchemy.orm import Session
 from bench.default_daemon import memory_of
 from edge.formats.tick_json import tick_json
 from fleet.database.base import open_database
-from fleet.database.events import Refusal
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig, Refusal
 from fleet.numbers.victoria import Numbers
 from fleet.settings import DatabaseSettings, NumbersSettings
 from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for

@@ -17,10 +17,8 @@ from edge.formats.tick_json import tick_json
 from edge.twin.twin_file import twin_document
 from fleet.commands.work import WORK
 from fleet.database.base import open_database
-from fleet.database.events import RigEvent
 from fleet.database.lease import FleetLease
-from fleet.database.rigs import FleetRig
-from fleet.database.twins import RigDiagnosis, ToldTwin
+from fleet.database.tables import FleetRig, RigDiagnosis, RigEvent, ToldTwin
 from fleet.ingest.tick import parse_tick
 from fleet.jobs.changes import changes
 from fleet.jobs.diagnosis_job import begun_disagreements, diagnose_changed, rig_run

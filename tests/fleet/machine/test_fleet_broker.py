@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from edge.config import loading
 from edge.core.errors import DataError, RequestError
 from fleet.database.base import open_database
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig
 from fleet.machine.places import FleetMachine, FleetPlaces, places_of
 from fleet.machine.rig_papers import HOME
 from fleet.machine.rig_register import add_rig, remove_rig

@@ -13,7 +13,7 @@ from edge.__main__ import main
 from edge.config import loading
 from edge.core.errors import RequestError
 from fleet.database.base import open_database
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig
 from fleet.machine import rig_register
 from fleet.machine.places import FleetPlaces, places_of
 from fleet.machine.rig_papers import read_papers

@@ -16,7 +16,7 @@ from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 
 from fleet.database.base import open_database
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig
 from fleet.machine.engine_files import MESSAGE_MAX
 from fleet.machine.site_papers import SITE_HOME
 from fleet.machine.site_register import add_to_site

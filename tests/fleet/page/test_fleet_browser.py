@@ -14,8 +14,7 @@ from sqlalchemy.orm import Session
 
 from edge.page.access import Role
 from fleet.database.base import open_database
-from fleet.database.bundles import BundleRollout, RolloutRig, RolloutWave
-from fleet.database.twins import ToldTwin
+from fleet.database.tables import BundleRollout, RolloutRig, RolloutWave, ToldTwin
 from fleet.settings import NumbersSettings
 from tests.support.broker import free_port, wait_for
 from tests.support.browser import DESK, PHONE, resize

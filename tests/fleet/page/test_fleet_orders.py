@@ -12,8 +12,8 @@ from sqlalchemy.orm import Session
 from edge.config.settings import MqttSettings
 from edge.mqtt.telemetry import Telemetry
 from edge.page.access import Role
-from fleet.database.alarms import FleetOrder
 from fleet.database.base import open_database
+from fleet.database.tables import FleetOrder
 from fleet.page import order_desk
 from tests.support.broker import Broker, Listener, needs_mosquitto, wait_for
 from tests.support.mqtt_rig import ControlLoop, MemoryOutbox, settings

@@ -14,7 +14,7 @@ from edge.bundle.remote import fetch
 from edge.page.access import Role
 from edge.page.password_tries import TRIES
 from fleet.database.base import open_database
-from fleet.database.twins import ToldTwin
+from fleet.database.tables import ToldTwin
 from fleet.rollout.archives import add_archive, archive_url
 from fleet.settings import NumbersSettings
 from tests.support.broker import free_port

@@ -11,9 +11,8 @@ from sqlalchemy.orm import Session
 
 from edge.bundle import remote
 from fleet.database.base import open_database
-from fleet.database.bundles import BundleRollout, FleetBundle, RolloutRig, RolloutWave
 from fleet.database.lease import FleetLease
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import BundleRollout, FleetBundle, FleetRig, RolloutRig, RolloutWave
 from fleet.rollout.begin import begin
 from fleet.rollout.judge import HOUR_S, HourCost
 from fleet.rollout.runner import RolloutRunner

@@ -25,9 +25,8 @@ from edge.core.clock import RealClock
 from edge.core.errors import DataError
 from edge.mqtt.telemetry import Telemetry
 from fleet.database.base import open_database
-from fleet.database.bundles import BundleRollout, RolloutRig
 from fleet.database.lease import FleetLease
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import BundleRollout, FleetRig, RolloutRig
 from fleet.rollout.archives import add_archive, archive_bytes
 from fleet.rollout.begin import begin, stop_by_person
 from fleet.rollout.rig_line import MqttRigLine

@@ -10,10 +10,8 @@ from sqlalchemy import create_engine
 from sqlalchemy.orm import Session
 
 from edge.core.errors import DataError, RequestError
-from fleet.database.base import FleetTable
-from fleet.database.bundles import RolloutWave
 from fleet.database.lease import FleetLease, LeaseLost
-from fleet.database.rigs import FleetRig
+from fleet.database.tables import FleetRig, FleetTable, RolloutWave
 from fleet.rollout.begin import begin, go_on_by_person, stop_by_person
 from fleet.rollout.judge import HOUR_S, HourCost
 from fleet.rollout.runner import RolloutRunner
