@@ -11,8 +11,7 @@ from edge.page.access import ROLES, Role
 from fleet.database.base import open_database
 from fleet.machine.places import FOLDER, places_of
 from fleet.machine.rig_papers import read_papers
-from fleet.machine.rig_register import add_rig, remove_rig
-from fleet.machine.site_register import add_to_site, read_sites, remove_site
+from fleet.machine.rig_register import add_rig, add_to_site, read_sites, remove_rig, remove_site
 from fleet.page.people import EVERY, People
 from fleet.settings import FleetSettings
 

@@ -17,9 +17,8 @@ from fleet.database.tables import FleetRig
 from fleet.machine import rig_register
 from fleet.machine.places import FleetPlaces, places_of
 from fleet.machine.rig_papers import read_papers
-from fleet.machine.rig_register import add_rig, remove_rig
+from fleet.machine.rig_register import add_rig, add_to_site, read_sites, remove_rig, remove_site
 from fleet.machine.setting_up import set_up
-from fleet.machine.site_register import add_to_site, read_sites, remove_site
 from fleet.settings import load
 from tests.support.broker import Listener, needs_mosquitto, wait_for
 

@@ -18,8 +18,8 @@ from sqlalchemy.orm import Session
 from fleet.database.base import open_database
 from fleet.database.tables import FleetRig
 from fleet.machine.engine_files import MESSAGE_MAX
+from fleet.machine.rig_register import add_to_site
 from fleet.machine.site_papers import SITE_HOME
-from fleet.machine.site_register import add_to_site
 from fleet.numbers.victoria import Numbers
 from fleet.settings import load
 from tests.support.broker import PATIENCE_S, Broker, Listener, needs_mosquitto, wait_for
