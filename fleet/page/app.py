@@ -19,7 +19,7 @@ from edge.page.answers import as_answer
 from edge.page.app import STATIC as PARTS
 from edge.page.guard import Guard, own_names
 from fleet.database.base import open_database
-from fleet.page import rollout_routes, routes
+from fleet.page import routes
 from fleet.page.alarm_shelf import AlarmShelf
 from fleet.page.fleet_page import FleetPage
 from fleet.page.order_desk import OrderDesk
@@ -47,9 +47,9 @@ API: tuple[tuple[str, str, FleetHandler], ...] = (
     ("POST", "/api/rigs/{name}/order", routes.order),
     ("GET", "/api/alarms", routes.alarms),
     ("POST", "/api/alarms/{number:int}/acknowledge", routes.acknowledge),
-    ("GET", "/api/rollouts", rollout_routes.rollouts),
-    ("POST", "/api/rollouts/{number:int}/go-on", rollout_routes.go_on),
-    ("POST", "/api/rollouts/{number:int}/stop", rollout_routes.stop),
+    ("GET", "/api/rollouts", routes.rollouts),
+    ("POST", "/api/rollouts/{number:int}/go-on", routes.go_on),
+    ("POST", "/api/rollouts/{number:int}/stop", routes.stop),
     ("GET", "/api/sessions", routes.sessions),
     ("DELETE", "/api/sessions/{session:int}", routes.end_session),
 )

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from edge.page.access import Role
 from fleet.database.base import open_database
 from fleet.database.tables import BundleRollout, RolloutRig, RolloutWave
-from fleet.page.rollout_routes import SHOWN_MAX
+from fleet.page.routes import SHOWN_MAX
 from fleet.rollout.overview import COMPLAINTS_MAX
 from tests.support.held_rollout import SAFE, UNSURE, add_held_rollout
 from tests.support.page_process import Client
