@@ -27,7 +27,7 @@ from edge.core.hard_limits import __file__ as hard_limits_file
 from edge.core.names import ACTUATORS, SIGNALS
 from edge.formats.cross_check import Rule, Section
 from edge.mqtt import commands as mqtt_commands
-from edge.mqtt.topics import Topics
+from edge.mqtt.topics import Topic, Topics
 from edge.storage.schema import MIGRATIONS, migrate
 from edge.tick.faults import FAILURES
 from edge.twin.effects.library import EFFECTS
@@ -140,7 +140,7 @@ def topics() -> str:
     usual = Topics.of(MqttSettings())
     published = {
         name: getattr(usual, name) if isinstance(getattr(usual, name), str) else None
-        for name in [*(item.name for item in fields(Topics)), *_properties(Topics)]
+        for name in [*(item.name for item in fields(Topics)), *_topics(Topics)]
     }
     rows = [
         (f"`{topic}`", "yes" if topic in usual.retained else "", _topic_meaning(name))
@@ -164,14 +164,14 @@ def topics() -> str:
     return "\n".join(lines).replace(f"{usual.root}/", "<rig>/")
 
 
-def _properties(owner: type) -> list[str]:
-    return [name for name, value in vars(owner).items() if isinstance(value, property)]
+def _topics(owner: type) -> list[str]:
+    return [name for name, value in vars(owner).items() if isinstance(value, Topic)]
 
 
 def _topic_meaning(name: str) -> str:
     if name in words.PRESCRIBED_TOPICS:
         return words.PRESCRIBED_TOPICS[name]
-    return (inspect.getdoc(getattr(Topics, name)) or "").replace("\n", " ")
+    return (inspect.getdoc(inspect.getattr_static(Topics, name)) or "").replace("\n", " ")
 
 
 def history() -> str:

@@ -61,30 +61,33 @@ class FleetMachine(Section):
 
 
 @dataclass(frozen=True, slots=True)
+class _Place:
+    """A file or folder of a fleet's folder, by its name."""
+
+    name: str
+
+    def __get__(self, places: "FleetPlaces", owner: type) -> Path:
+        return places.folder / self.name
+
+
+@dataclass(frozen=True, slots=True)
 class FleetPlaces:
     """Files below the folder of the fleet's settings."""
 
     folder: Path
 
-    @property
-    def machine(self) -> Path:
-        """The file by which a folder is known to be a fleet's."""
-        return self.folder / "machine.yaml"
-
-    @property
-    def settings(self) -> Path:
-        """Settings of ingest and page."""
-        return self.folder / "fleet.yaml"
-
-    @property
-    def authority(self) -> Path:
-        """Certificate of the authority."""
-        return self.folder / "ca.crt"
-
-    @property
-    def authority_key(self) -> Path:
-        """Its key, which no engine reads."""
-        return self.folder / "ca.key"
+    machine = _Place("machine.yaml")  # by which a folder is known to be a fleet's
+    settings = _Place("fleet.yaml")  # of ingest and page
+    authority = _Place("ca.crt")  # certificate of the authority
+    authority_key = _Place("ca.key")  # which no engine reads
+    bundle_keys = _Place("keys")  # folder of public keys whose bundles may be rolled out
+    alert_token = _Place("alerts.token")  # the word by which vmalert shows the page who it is
+    rules = _Place("alerts.yaml")  # of vmalert
+    broker = _Place("mosquitto.conf")
+    rights = _Place("mosquitto.acl")  # topics that each may read and write
+    web = _Place("Caddyfile")
+    rigs = _Place("rigs")  # folder with a file for each rig that may come in
+    lock = _Place("up.lock")  # held by `fleet up --foreground`, with its process number
 
     def certificate(self, name: str) -> Path:
         """Return the place of a certificate: `server` or `fleet`."""
@@ -93,46 +96,6 @@ class FleetPlaces:
     def key(self, name: str) -> Path:
         """Return the place of its key."""
         return self.folder / f"{name}.key"
-
-    @property
-    def bundle_keys(self) -> Path:
-        """Folder of public keys whose bundles may be rolled out."""
-        return self.folder / "keys"
-
-    @property
-    def alert_token(self) -> Path:
-        """The word by which vmalert shows the page who it is."""
-        return self.folder / "alerts.token"
-
-    @property
-    def rules(self) -> Path:
-        """Rules of vmalert."""
-        return self.folder / "alerts.yaml"
-
-    @property
-    def broker(self) -> Path:
-        """Settings of mosquitto."""
-        return self.folder / "mosquitto.conf"
-
-    @property
-    def rights(self) -> Path:
-        """Topics that each may read and write."""
-        return self.folder / "mosquitto.acl"
-
-    @property
-    def web(self) -> Path:
-        """Settings of caddy."""
-        return self.folder / "Caddyfile"
-
-    @property
-    def rigs(self) -> Path:
-        """A file for each rig that may come in."""
-        return self.folder / "rigs"
-
-    @property
-    def lock(self) -> Path:
-        """Held by `fleet up --foreground`, with its process number."""
-        return self.folder / "up.lock"
 
     def read(self) -> FleetMachine:
         """Return what `up` has written. Errors: RequestError without any, ConfigError for a bad file"""
