@@ -1,14 +1,14 @@
-"""Who may do what: links, sessions and passwords, in a SQLite file of the page's own."""
+"""Who may do what: links, sessions and passwords, in a SQLite file of the page's own; the role of orders."""
 
 import secrets
 import sqlite3
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from edge.core.errors import DataError
 from edge.core.plain_text import plain
@@ -114,11 +114,6 @@ class Access:
         with self._writing() as db:
             return self._begin(db, None, Role(role), name, browser, self.utc() + SESSION_S)
 
-    def has_person(self, name: str) -> bool:
-        """Return whether somebody logs in by this name."""
-        with self._reading() as db:
-            return db.execute("SELECT 1 FROM people WHERE name = ?", (name,)).fetchone() is not None
-
     def set_password(self, name: str, role: Role, password: str) -> None:
         """Let a person log in; sessions that they had under another password end. Errors: RequestError"""
         salt, hashed = new_password(password)
@@ -213,14 +208,12 @@ class Access:
 
     def open_to_network(self) -> None:
         """Note that the page shall listen to other machines."""
-        with self._writing() as db:
-            db.execute("INSERT OR REPLACE INTO facts VALUES ('network', '1')")
+        self.set_fact("network", "1")
 
     @property
     def is_open_to_network(self) -> bool:
         """Somebody has called `greenhouse page pair`."""
-        with self._reading() as db:
-            return db.execute("SELECT 1 FROM facts WHERE key = 'network'").fetchone() is not None
+        return self.fact("network") is not None
 
     def fact(self, key: str) -> str | None:
         """Return a text that the page or a command has left under a name, None where there is none."""
@@ -285,3 +278,44 @@ class Access:
                 yield db
         except (sqlite3.Error, OSError) as error:
             raise DataError(f"{self.path}: {error}") from error
+
+
+NEEDS = {  # request of the control socket -> role; what is not in the list is not passed on
+    "emergency_stop": Role.VIEW,  # whoever sees that something is wrong may stop it
+    "release_emergency_stop": Role.OPERATE,
+    "clear_trip": Role.OPERATE,
+    "maintenance": Role.OPERATE,
+    "set_mode": Role.OPERATE,
+    "set_fan_mode": Role.OPERATE,
+    "set_reference": Role.OPERATE,
+    "set_controller": Role.OPERATE,
+    "set_manual": Role.OPERATE,
+    "start_profile": Role.OPERATE,
+    "pause_profile": Role.OPERATE,
+    "resume_profile": Role.OPERATE,
+    "skip_profile": Role.OPERATE,
+    "end_profile": Role.OPERATE,
+    "calibrate_point": Role.OPERATE,
+    "discard_points": Role.OPERATE,
+    "apply_calibration": Role.OPERATE,
+    "reset_calibration": Role.OPERATE,
+    "ask": Role.OPERATE,
+    "proposal": Role.OPERATE,
+    "confirm": Role.OPERATE,
+    "discard": Role.OPERATE,
+    "undo": Role.OPERATE,
+    "memory": Role.OPERATE,
+    "remember": Role.OPERATE,
+    "forget": Role.OPERATE,
+    "bundle": Role.ADMIN,
+    "adopt": Role.ADMIN,
+}
+
+
+def order_problem(order: Mapping[str, Any], role: Role) -> str:
+    """Return why a visitor of this role may not give an order, "" where they may."""
+    kind = order.get("do")
+    needed = NEEDS.get(kind) if isinstance(kind, str) else None
+    if needed is None:
+        return f"do: one of {', '.join(NEEDS)}"
+    return "" if role >= needed else f"{kind} needs the role {needed.word}, yours is {role.word}"

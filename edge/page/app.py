@@ -15,7 +15,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from edge.config.settings import Settings
-from edge.page import export, model_routes, rig_routes, session_routes
+from edge.page import export, rig_routes, session_routes
 from edge.page.access import Access, Role, Visitor
 from edge.page.alarms import alarm_routes
 from edge.page.alarms.alarm_desk import AlarmDesk
@@ -43,10 +43,10 @@ API: tuple[tuple[str, str, Role | None, Handler], ...] = (
     ("GET", "/api/why", Role.VIEW, rig_routes.why),
     ("GET", "/api/what-if", Role.VIEW, rig_routes.what_if),
     ("GET", "/api/events", Role.VIEW, rig_routes.events),
-    ("GET", "/api/models", Role.VIEW, model_routes.models),
-    ("GET", "/api/diagnoses", Role.VIEW, model_routes.diagnoses),
-    ("GET", "/api/diagnoses/{name}", Role.VIEW, model_routes.diagnosis),
-    ("GET", "/api/diagnoses/{name}/report", Role.VIEW, model_routes.report),
+    ("GET", "/api/models", Role.VIEW, rig_routes.models),
+    ("GET", "/api/diagnoses", Role.VIEW, rig_routes.diagnoses),
+    ("GET", "/api/diagnoses/{name}", Role.VIEW, rig_routes.diagnosis),
+    ("GET", "/api/diagnoses/{name}/report", Role.VIEW, rig_routes.report),
     ("GET", "/api/export", Role.VIEW, export.export),
     ("POST", "/api/events/acknowledge", Role.OPERATE, rig_routes.acknowledge),
     ("POST", "/api/stop", Role.VIEW, rig_routes.stop),

@@ -14,9 +14,8 @@ from edge.assistant.requests.memory import ForgetRequest, RememberRequest
 from edge.bundle.keeper import BundleRequest
 from edge.core.version import __version__
 from edge.formats.cross_check import CheckedDocument, Rule
-from edge.page.access import LINK_DAYS_MAX, ROLES
+from edge.page.access import LINK_DAYS_MAX, NEEDS, ROLES
 from edge.page.app import API
-from edge.page.orders import NEEDS
 from edge.page.questions import NEEDED, OPTIONS, WALL, WALL_MAX
 from edge.tick.orders import ORDERS
 

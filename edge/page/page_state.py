@@ -1,6 +1,8 @@
 """The state that all routes share: the rig, who has access, tries of a password, open streams."""
 
+import asyncio
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from pathlib import Path
@@ -19,10 +21,41 @@ from edge.page.courses import Courses
 from edge.page.password_tries import PasswordTries
 from edge.page.questions import TwinQuestions
 from edge.page.rig_link import RigLink
-from edge.page.streams import Streams
 
+STREAMS_MAX = 40
 TESTS, TESTS_S = 5, 20.0  # of alarm channels: at once; at length [s]
 STOPS, STOPS_S = 2, 300.0  # that one link to view may set against releases: at once; at length [s]
+
+
+@dataclass(slots=True, eq=False)
+class Stream:
+    """One that is open. owner : the link by which its viewer came, else their name"""
+
+    session: int
+    owner: int | str
+    ended: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class Streams(list[Stream]):
+    """All that are open, the oldest first."""
+
+    def begin(self, visitor: Visitor) -> Stream:
+        """Return a new stream; the oldest one of whoever has most ends for it. Errors: NotAllowed"""
+        begun = Stream(visitor.session, visitor.link or visitor.name)
+        if len(self) >= STREAMS_MAX:
+            counts = Counter(each.owner for each in self)
+            owner = max(counts, key=lambda each: (counts[each], each == begun.owner))
+            if counts[owner] == 1 and owner != begun.owner:  # nobody has two
+                raise NotAllowed(HTTPStatus.SERVICE_UNAVAILABLE, f"{STREAMS_MAX} viewers look already")
+            self.end(next(each for each in self if each.owner == owner))
+        self.append(begun)
+        return begun
+
+    def end(self, *streams: Stream) -> None:
+        """End streams; one that has ended already stays so."""
+        for each in streams:
+            each.ended.set()
+        self[:] = [each for each in self if not each.ended.is_set()]
 
 
 @dataclass(slots=True)

@@ -1,23 +1,22 @@
-"""Routes of the rig: what it does, did and why; orders and the stop."""
+"""Routes of the rig: what it does, did and why; orders, the stop, models and reports."""
 
 import json
 from collections.abc import AsyncIterator
 from http import HTTPStatus
+from pathlib import Path
 
 from starlette.requests import Request
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from edge.core.errors import RequestError
 from edge.core.messages import Severity
 from edge.core.stop_words import as_stop
-from edge.page import history
-from edge.page.access import Visitor
+from edge.page import history, reports
+from edge.page.access import NEEDS, Visitor, order_problem
 from edge.page.answers import NotAllowed, answer, document, in_thread, number, passed_on
-from edge.page.orders import NEEDS, problem
-from edge.page.page_state import Page
+from edge.page.page_state import Page, Stream
 from edge.page.questions import options
-from edge.page.streams import Stream
 
 BEAT_S = 5.0  # between two signs of life on a quiet stream
 
@@ -118,7 +117,7 @@ async def stop(page: Page, request: Request, visitor: Visitor) -> Response:
 async def order(page: Page, request: Request, visitor: Visitor) -> Response:
     """Pass an order on to the daemon, with its author."""
     given = as_stop(await document(request))
-    if reason := problem(given, visitor.role):
+    if reason := order_problem(given, visitor.role):
         known = isinstance(given.get("do"), str) and given["do"] in NEEDS
         raise NotAllowed(HTTPStatus.FORBIDDEN if known else HTTPStatus.BAD_REQUEST, reason)
     if given["do"] == "emergency_stop":
@@ -128,3 +127,45 @@ async def order(page: Page, request: Request, visitor: Visitor) -> Response:
 
 def _author(visitor: Visitor) -> str:
     return f"{visitor.name} (page)"
+
+
+# A report holds names of files and notes of people: nothing in it runs, is sent, or is fetched.
+SANDBOX = {
+    "content-security-policy": (
+        "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; "
+        "base-uri 'none'; form-action 'none'"
+    )
+}
+
+
+async def models(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return all installed bundles, and which one does what."""
+    return passed_on(await page.rig.ask({"do": "bundle", "action": "list"}))
+
+
+async def diagnoses(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return the last reports, each with its verdict."""
+    return answer(ok=True, reports=await in_thread(reports.summaries, _folder(page)))
+
+
+async def diagnosis(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return the figures and the evidence of a report."""
+    return answer(ok=True, **await in_thread(reports.details, await _report(page, request)))
+
+
+async def report(page: Page, request: Request, visitor: Visitor) -> Response:
+    """Return a report for people, in which nothing can act."""
+    content = await in_thread(reports.html, await _report(page, request))
+    return HTMLResponse(content, headers=SANDBOX)
+
+
+def _folder(page: Page) -> Path:
+    return Path(page.settings.drift.reports)
+
+
+async def _report(page: Page, request: Request) -> Path:
+    """Return the folder of the report that is asked for. Errors: NotAllowed"""
+    name, folder = str(request.path_params["name"]), _folder(page)
+    if name not in await in_thread(reports.names, folder):
+        raise NotAllowed(HTTPStatus.NOT_FOUND, "there is no report of this name")
+    return folder / name

@@ -10,10 +10,9 @@ from edge.config.settings import Settings
 from edge.core.errors import RequestError
 from edge.core.plain_text import plain
 from edge.core.version import __version__
-from edge.page.access import DAY_S, LINK_DAYS_MAX, RIGHTS, ROLES, Role, Visitor
+from edge.page.access import DAY_S, LINK_DAYS_MAX, NEEDS, RIGHTS, ROLES, Role, Visitor
 from edge.page.answers import Json, NotAllowed, answer, document, in_thread, number, text
 from edge.page.cookie import delete_cookie, set_cookie
-from edge.page.orders import NEEDS
 from edge.page.page_state import Page
 
 
@@ -28,7 +27,7 @@ async def enter(page: Page, request: Request, _: Visitor) -> Response:
         name, password = text(given, "name", 40), text(given, "password")
         page.tries.take(request.client.host if request.client else "", name)
         begun = None
-        if await in_thread(page.access.has_person, name):
+        if await in_thread(page.access.role_of, "people", name) is not None:
             begun = await page.tries.check(page.access.log_in, name, password, browser)
         else:
             await page.tries.pretend()

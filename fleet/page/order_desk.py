@@ -17,9 +17,8 @@ from edge.formats.reader import DocumentError, parse_json
 from edge.mqtt.commands import PAYLOAD_MAX, parse
 from edge.mqtt.connection import end, make_client
 from edge.mqtt.topics import Topics
-from edge.page.access import Role
+from edge.page.access import NEEDS, Role
 from edge.page.answers import NotAllowed
-from edge.page.orders import NEEDS
 
 Json = dict[str, Any]
 

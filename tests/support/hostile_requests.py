@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from edge.page.access import DAY_S, Access, Role
+from edge.page.access import DAY_S, NEEDS, Access, Role
 from edge.page.cookie import COOKIE
-from edge.page.orders import NEEDS
 
 PATIENCE_S = 30.0  # for the end of a connection
 DRIP_S = 0.5  # between two bytes of a slow request

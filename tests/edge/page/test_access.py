@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from edge.core.errors import DataError, RequestError
-from edge.page.access import DAY_S, SESSION_S, Access, Role
-from edge.page.orders import NEEDS, problem
+from edge.page.access import DAY_S, NEEDS, SESSION_S, Access, Role, order_problem
 
 NOBODY = 65534
 
@@ -150,9 +149,9 @@ def test_a_file_that_root_makes_is_the_folders_owners(tmp_path: Path) -> None:
 
 def test_every_role_may_stop_and_what_is_not_listed_nobody_may() -> None:
     for role in Role:
-        assert problem({"do": "emergency_stop"}, role) == ""
+        assert order_problem({"do": "emergency_stop"}, role) == ""
         for unlisted in ("steer", "resend", "commission", "status", "", None, ["set_mode"], {}):
-            assert problem({"do": unlisted}, role)
-    allowed = {role: {kind for kind in NEEDS if not problem({"do": kind}, role)} for role in Role}
+            assert order_problem({"do": unlisted}, role)
+    allowed = {role: {kind for kind in NEEDS if not order_problem({"do": kind}, role)} for role in Role}
     assert allowed[Role.VIEW] == {"emergency_stop"}
     assert allowed[Role.VIEW] < allowed[Role.OPERATE] < allowed[Role.ADMIN] == set(NEEDS)

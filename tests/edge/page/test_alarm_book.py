@@ -4,7 +4,7 @@ import pytest
 
 from edge.page.alarms.alarm_book import ALARMS_MAX, DROPPED, GAP_S, OFTEN, OFTEN_S, AlarmBook, EventPlace
 from edge.page.alarms.alarm_events import HistoryEvent
-from edge.page.alarms.alarm_look import RESTART_S, AlarmLook, enter
+from edge.page.alarms.alarm_watch import RESTART_S, AlarmLook, enter
 from edge.page.alarms.rig_watch import BOARD, STOP, Finding
 
 UTC, REPEAT_S = 1.7e9, 1800.0

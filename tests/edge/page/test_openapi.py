@@ -10,9 +10,9 @@ import jsonschema
 import pytest
 
 from edge.core.errors import RequestError
+from edge.page.access import NEEDS
 from edge.page.app import API, STATIC
 from edge.page.openapi import BODIES, DOCUMENTS, PARAMETERS, openapi
-from edge.page.orders import NEEDS
 from edge.tick.orders import ORDERS, Desk, Operation, operate
 from tests.support.page_process import page_of
 

@@ -1,4 +1,4 @@
-"""edge/page/streams.py and the route: who gets one of the event streams, and that each place comes back."""
+"""edge/page/page_state.py and the route: who gets one of the event streams; each place comes back."""
 
 import asyncio
 from types import SimpleNamespace
@@ -7,8 +7,8 @@ import pytest
 
 from edge.page.access import Role, Visitor
 from edge.page.answers import NotAllowed
+from edge.page.page_state import STREAMS_MAX, Streams
 from edge.page.rig_routes import stream
-from edge.page.streams import STREAMS_MAX, Streams
 
 
 def of_link(link: int, session: int) -> Visitor:
