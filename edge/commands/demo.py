@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from edge.app.daemon import Daemon
-from edge.app.demo_folders import make_demo_folder
 from edge.app.display import make_display
 from edge.app.outlet import standard_output
+from edge.app.running_rigs import make_demo_folder
 from edge.board.sim_clock import SimClock
 from edge.board.virtual_rig import settings_in, virtual_rig
 from edge.commands.arguments import SEED_MAX, number, whole

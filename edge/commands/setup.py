@@ -19,7 +19,7 @@ from edge.app.setup import QUESTIONS, BoxQuestion, OutputResult, SetupAnswers, a
 from edge.board.board_session import BoardSession
 from edge.board.board_tool import give_own_id, show
 from edge.board.output_check import CHECKS, LEASE_S, OutputRefused, outputs, run_check, suited_check
-from edge.board.ports import find_ports, lasting_name
+from edge.board.serial_port import find_ports, lasting_name
 from edge.commands.arguments import add_config, writing
 from edge.commands.check_config import problems
 from edge.config import loading

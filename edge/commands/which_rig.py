@@ -5,8 +5,7 @@ import os
 import sys
 from pathlib import Path
 
-from edge.app.demo_folders import last_history
-from edge.app.running_rigs import RunningRig, known_rigs
+from edge.app.running_rigs import RunningRig, known_rigs, last_history
 from edge.config.settings import ControlSocketSettings, HistorySettings
 from edge.core.errors import ConfigError, DataError, RequestError
 from edge.core.plain_text import plain, quote

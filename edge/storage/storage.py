@@ -13,7 +13,58 @@ from edge.core.messages import Event, Severity, TickRecord
 from edge.storage.archive import Archive, NumberGap, Session
 from edge.storage.file import FileFault, fault_of, set_aside
 from edge.storage.numbers import NumbersFile, Reservation
-from edge.storage.tick_queue import TickQueue
+
+
+class TickQueue:
+    """Ticks between the loop, which never waits, and the writer; of too many the oldest go, noted."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._records: deque[TickRecord] = deque()
+        self._lost: list[tuple[int, int]] = []  # ranges of numbers, first and last
+        self._changed = threading.Condition()
+        self._closed = False
+
+    def put(self, record: TickRecord) -> None:
+        """Append; never waits."""
+        with self._changed:
+            if len(self._records) >= self._capacity:
+                self._note_lost(self._records.popleft().seq)
+            self._records.append(record)
+            self._changed.notify_all()
+
+    def take(self, limit: int) -> list[TickRecord]:
+        """Up to `limit` of the oldest, waiting for the first; nothing when closed and empty."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._records or self._closed)
+            return [self._records.popleft() for _ in range(min(limit, len(self._records)))]
+
+    def take_lost(self) -> list[tuple[int, int]]:
+        """Ranges of numbers dropped since the last call."""
+        with self._changed:
+            lost, self._lost = self._lost, []
+            return lost
+
+    def wait_closed(self, timeout_s: float) -> bool:
+        """Wait until it is closed, at most `timeout_s`. Returns whether it is."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._closed, timeout_s)
+
+    def close(self) -> None:
+        """Wake whoever waits; what is queued can still be taken."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def __len__(self) -> int:
+        return len(self._records)
+
+    def _note_lost(self, seq: int) -> None:
+        if self._lost and self._lost[-1][1] == seq - 1:
+            self._lost[-1] = (self._lost[-1][0], seq)
+        else:
+            self._lost.append((seq, seq))
+
 
 BATCH_TICKS = 200  # most ticks in one transaction
 THIN_EVERY_TICKS = 60  # how often retention looks for something to do, and a failed migration is tried again

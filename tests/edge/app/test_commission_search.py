@@ -1,12 +1,11 @@
-"""edge/app/commission.py and sensor_step.py: a heater that fades, and a sensor with coarse steps."""
+"""edge/app/commission.py: a heater that fades, and a sensor with coarse steps."""
 
 from typing import Any
 
 import numpy as np
 import pytest
 
-from edge.app.commission import search_past_steps
-from edge.app.sensor_step import step_of
+from edge.app.commission import search_past_steps, step_of
 from edge.diagnosis.unknowns import with_usual
 from edge.twin.twin_file import TwinFile
 from tests.support.simulated_runs import twin_file

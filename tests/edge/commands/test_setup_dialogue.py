@@ -17,10 +17,9 @@ import pytest
 from edge.__main__ import main
 from edge.app import setup as steps
 from edge.app.setup import QUESTIONS, SetupAnswers
-from edge.board import board_session, output_check, ports
+from edge.board import board_session, output_check, serial_port
 from edge.board.output_check import CHECKS, OutputRefused
-from edge.board.ports import FoundPort
-from edge.board.serial_port import SerialPort
+from edge.board.serial_port import FoundPort, SerialPort
 from edge.commands import setup as command
 from edge.config import loading
 from edge.core.errors import RequestError
@@ -344,15 +343,15 @@ def test_ports_of_usb_adapters_are_found_and_have_lasting_names(
 ) -> None:
     devices = ["/dev/ttyUSB1", "/dev/ttyS0", "/dev/ttyACM0", "/dev/ttyAMA0"]
     found = [SimpleNamespace(device=device, description="board") for device in devices]
-    monkeypatch.setattr(ports.list_ports, "comports", lambda: found)
-    assert [port.path for port in ports.find_ports()] == ["/dev/ttyACM0", "/dev/ttyUSB1"]
-    monkeypatch.setattr(ports, "BY_ID", folder / "by-id")
+    monkeypatch.setattr(serial_port.list_ports, "comports", lambda: found)
+    assert [port.path for port in serial_port.find_ports()] == ["/dev/ttyACM0", "/dev/ttyUSB1"]
+    monkeypatch.setattr(serial_port, "BY_ID", folder / "by-id")
     device = folder / "ttyACM0"
     device.touch()
-    assert ports.lasting_name(str(device)) == str(device)
+    assert serial_port.lasting_name(str(device)) == str(device)
     (folder / "by-id").mkdir()
     (folder / "by-id" / "usb-Arduino-123").symlink_to(device)
-    assert ports.lasting_name(str(device)) == str(folder / "by-id" / "usb-Arduino-123")
+    assert serial_port.lasting_name(str(device)) == str(folder / "by-id" / "usb-Arduino-123")
 
 
 # The service.

@@ -1,4 +1,4 @@
-"""edge/commands/which_rig.py and edge/app/demo_folders.py: orders reach the rig that is meant, or none."""
+"""edge/commands/which_rig.py and edge/app/running_rigs.py: orders reach the rig that is meant, or none."""
 
 import argparse
 import json
@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from edge.__main__ import main
-from edge.app import demo_folders, running_rigs
-from edge.app.demo_folders import make_demo_folder, running_demos
+from edge.app import running_rigs
+from edge.app.running_rigs import make_demo_folder, running_demos
 from edge.board.virtual_rig import settings_in
 from edge.commands import orders, which_rig
 from edge.commands.which_rig import history_of, rigs_of, socket_of
@@ -32,7 +32,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A machine without a rig and without demos; `rig.sock` would be the rig's socket."""
     rig = ControlSocketSettings(str(tmp_path / "rig.sock"))
     history = HistorySettings(path=str(tmp_path / "rig.db"))
-    monkeypatch.setattr(demo_folders, "demos_directory", lambda: tmp_path / "demos")
+    monkeypatch.setattr(running_rigs, "demos_directory", lambda: tmp_path / "demos")
     monkeypatch.setattr(which_rig, "ControlSocketSettings", lambda: rig)
     monkeypatch.setattr(running_rigs, "ControlSocketSettings", lambda: rig)
     monkeypatch.delenv("GREENHOUSE_RIG", raising=False)

@@ -159,7 +159,7 @@ OWN = {  # modules that open files themselves, and why root is led nowhere
     "board/firmware_file.py": "the package's own files, and a new folder",
     "board/board_tool.py": "the package's own files",
     "board/virtual_rig.py": "a demo's own folder",
-    "app/demo_folders.py": "a demo's own folder",
+    "app/running_rigs.py": "a demo's own folder",
     "page/child.py": "a demo's own folder",
     "app/commission_button.py": "the daemon, which is not root",
     "app/nightly_diagnosis.py": "the daemon, which is not root",
