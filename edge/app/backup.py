@@ -11,7 +11,6 @@ import json
 import os
 import re
 import shutil
-import socket
 import sqlite3
 import stat
 import tarfile
@@ -34,6 +33,7 @@ from edge.formats.cross_check import Rule
 from edge.formats.input_file import SMALL, TABLE, open_file
 from edge.formats.owner import COMPANIONS, as_owner, open_database
 from edge.formats.reader import parse_json, read
+from edge.sockets.client import listens
 
 MANIFEST, LAYOUT = "manifest.json", 2
 CONFIG, HISTORY, STATE, PAGE = "edge.yaml", "history.db", "state.json", "page.db"
@@ -44,7 +44,6 @@ ETC, VAR, PAGE_FOLDER = Path("/etc/greenhouse"), Path("/var/lib/greenhouse"), Pa
 _IN_ETC = (CONFIG, "board.yaml", "twin.yaml", "credentials", "page-credentials", "keys", "signing.key")
 SECRETS = ("credentials", "page-credentials", "signing.key", PAGE)
 SMALL_PARTS = (*_IN_ETC, STATE)
-PROBE_S = 1.0  # for a daemon to take a connection
 _LOOSE = stat.S_IRWXG | stat.S_IRWXO
 UNPACKED_TIMES = 20  # of the backup's own size; a history of numbers is packed to a quarter
 _NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*", re.ASCII)
@@ -122,7 +121,7 @@ def _copy(part: str, path: Path, target: Path) -> int:
     elif path.is_dir():
         _copy_folder(path, target)
     else:
-        _copy_file(path, target)
+        _save(open_file(path), target)
     return _bytes_of(target)
 
 
@@ -150,14 +149,6 @@ def _copy_database(path: Path, target: Path) -> None:
     _save(file, target)
 
 
-def _copy_file(path: Path, target: Path) -> None:
-    try:
-        file = open_file(path)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    _save(file, target)
-
-
 def _save(file: BinaryIO, target: Path) -> None:
     with file, target.open("xb") as out:
         shutil.copyfileobj(file, out, _CHUNK)
@@ -182,7 +173,10 @@ def _copy_folder_once(path: Path, target: Path) -> None:
         folders = {entry for entry in entries if entry.is_dir()}
     target.mkdir()
     for entry in entries:
-        (_copy_folder_once if entry in folders else _copy_file)(entry, target / entry.name)
+        if entry in folders:
+            _copy_folder_once(entry, target / entry.name)
+        else:
+            _save(open_file(entry), target / entry.name)
     target.chmod(mode)
 
 
@@ -235,7 +229,8 @@ def restore(
         `agrees` says no: nothing is written then
     """
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    with tempfile.TemporaryDirectory(prefix=".restore-", dir=_existing(config.absolute().parent)) as name:
+    above = next(folder for folder in config.absolute().parents if folder.is_dir())
+    with tempfile.TemporaryDirectory(prefix=".restore-", dir=above) as name:
         folder = Path(name)
         _unpack(backup, folder)
         _refuse_loose(folder, str(backup))
@@ -245,7 +240,8 @@ def restore(
         known = places(config, loading.load(config)) if config.exists() else {CONFIG: config}
         for part, path in found.items():
             _refuse_elsewhere(part, path, known.get(part), config)
-        _refuse_while_it_runs(settings)
+        if listens(Path(settings.control_socket.path)):
+            raise RequestError("the daemon runs; `systemctl stop greenhouse` first")
         taken = [str(path) for path in found.values() if path.exists()]
         if taken and not replaces:
             raise RequestError(f"already there: {', '.join(taken)}; --replace keeps them under another name")
@@ -271,10 +267,6 @@ def _refuse_elsewhere(part: str, path: Path, known: Path | None, config: Path) -
         f"the backup's edge.yaml puts {part} at {path}, outside {home}. To restore it there, write a "
         f"{config} that names this place, and restore with --replace"
     )
-
-
-def _existing(folder: Path) -> Path:
-    return folder if folder.is_dir() else _existing(folder.parent)
 
 
 class _Bounded(gzip.GzipFile):
@@ -337,13 +329,6 @@ def _unpack_file(
     target.chmod(member.mode & 0o777)
     if _digest(target) != manifest.files[member.name]:
         raise DataError(f"{backup}: {member.name} is damaged: its SHA-256 is another one")
-
-
-def _refuse_while_it_runs(settings: Settings) -> None:
-    with closing(socket.socket(socket.AF_UNIX)) as probe, suppress(OSError):
-        probe.settimeout(PROBE_S)
-        probe.connect(settings.control_socket.path)
-        raise RequestError("the daemon runs; `systemctl stop greenhouse` first")
 
 
 def _put(source: Path, path: Path, stamp: str) -> Path | None:

@@ -52,14 +52,14 @@ Folder = Path | MemoryFolder
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Open a regular file, for readers that take less than all of it. Errors: OSError as `read_file`."""
+    """Open a regular file, for readers that take less than all of it. Errors: OSError, which names it."""
     if "\0" in str(path):
-        raise OSError(errno.EINVAL, "a NUL in the path")
+        raise OSError(errno.EINVAL, "a NUL in the path", str(path))
     with as_owner(path):
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # opening a FIFO would wait
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise OSError(errno.EINVAL, "not a regular file")
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
     return os.fdopen(descriptor, "rb")
 
 
