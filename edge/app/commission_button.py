@@ -7,7 +7,7 @@ does.
 """
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -195,7 +195,8 @@ class CommissionDesk:
         said = log.read_text(encoding="utf-8", errors="replace").strip().splitlines() or ["nothing was said"]
         refused = [line for line in said if line.startswith("refused: ")]
         if code == 0:
-            self._set("done", f"done: {_expectation(said)}")
+            promised = next((line for line in said if "of full heat reach" in line), said[-1])
+            self._set("done", f"done: {promised}")
         elif refused:
             self._set("refused", refused[0])
         else:
@@ -244,8 +245,3 @@ def _lacks(settings: Settings) -> dict[str, bool]:
         "no key to sign with: bundle.signing_key names none": not key,
         f"{key}: no such key": bool(key) and not Path(key).exists(),
     }
-
-
-def _expectation(said: Sequence[str]) -> str:
-    """Return what the learned twin promises, of the command's lines."""
-    return next((line for line in said if "of full heat reach" in line), said[-1])

@@ -44,13 +44,10 @@ def _rom_name(rom: int) -> str:
     return f"{rom & 0xFF:02x}-{rom >> 8 & (1 << 48) - 1:012x}"
 
 
-def _version(hello: Hello) -> str:
-    return f"{hello.firmware_major}.{hello.firmware_minor}.{hello.firmware_patch}"
-
-
 def _about(hello: Hello) -> str:
     cause = hello.reset_cause.name.lower().replace("_", " ")
-    return f"board {hello.board_id}, program {_version(hello)}; start {hello.boot_count}, by {cause}"
+    program = f"{hello.firmware_major}.{hello.firmware_minor}.{hello.firmware_patch}"
+    return f"board {hello.board_id}, program {program}; start {hello.boot_count}, by {cause}"
 
 
 def _about_state(state: StateEcho) -> str:

@@ -72,7 +72,8 @@ class SimClock:
         if port is not self._port:
             self._new_port(port)
         while not (self._now_s >= until_s or self._bytes_pending() or _readable(wake)):
-            self._advance(min(until_s, self._now_s + self._slice_s()))
+            slice_s = SLICE_S if self._speed is None else min(SLICE_S, SLICE_REAL_S * self._speed)
+            self._advance(min(until_s, self._now_s + slice_s))
             self._pace(wake)
 
     def inject(self, **fault: Any) -> None:
@@ -126,9 +127,6 @@ class SimClock:
     def _bytes_pending(self) -> bool:
         """Return whether the port has something to read: bytes, or the news that it was unplugged."""
         return self._port is not None and (self._gone or self._board_bytes > self._port.bytes_in)
-
-    def _slice_s(self) -> float:
-        return SLICE_S if self._speed is None else min(SLICE_S, SLICE_REAL_S * self._speed)
 
     def _advance(self, to_s: float) -> None:
         asked_s = math.ceil(to_s * 1000 - 1e-3) / 1000  # the board counts ms: 0.1 + 0.2 s is 300

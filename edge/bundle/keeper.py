@@ -83,10 +83,6 @@ def _roll_back(store: BundleStore, version: str | None) -> Roles:
     return store.roll_back(version)
 
 
-def _mark_good(store: BundleStore, version: str | None) -> Roles:
-    return store.change(marked_good)
-
-
 def _reject(store: BundleStore, version: str | None) -> Roles:
     return store.change(partial(reject_shadow, version=version))
 
@@ -108,7 +104,7 @@ def _refresh(store: BundleStore, version: str | None) -> Roles:
 ACTIONS: dict[str, Action] = {
     "activate": _activate,
     "rollback": _roll_back,
-    "mark-good": _mark_good,
+    "mark-good": lambda store, version: store.change(marked_good),
     "reject": _reject,
     "undo-adoption": _undo_adoption,
     "refresh": _refresh,  # changes nothing: the daemon reads again what others have changed
@@ -301,7 +297,8 @@ class BundleKeeper:
                 carry_out(self._store, job.action, job.version)
         except (DataError, RequestError) as error:
             return str(error)
-        self.serving = choose(self._store, _in_memory(self.serving))
+        loaded = {bundle.name: bundle for bundle in (self.serving.active, self.serving.rival) if bundle}
+        self.serving = choose(self._store, loaded)
         severity, why = Severity.INFO, job.why
         if job.action == "refresh-older":
             severity, why = Severity.WARNING, f"--allow-older took in {quote(job.version)}"
@@ -344,10 +341,6 @@ def _scores(serving: Serving, rows: Sequence[HorizonScore]) -> Scores | None:
     return Scores(
         active.name, rival.name, tuple(name for name in active.predictors if name in rival.predictors), rows
     )
-
-
-def _in_memory(serving: Serving) -> dict[str, LoadedBundle]:
-    return {bundle.name: bundle for bundle in (serving.active, serving.rival) if bundle}
 
 
 def _in_words(serving: Serving) -> str:

@@ -119,7 +119,7 @@ def rig_of(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
     settings = config.default() if arguments.config is None else config.load(arguments.config)
     options = []
     if arguments.chamber is not None:
-        _check_chamber(arguments.chamber)
+        read_yaml(dict[str, Any], arguments.chamber)  # else the virtual board would hang or end on it
         options = ["--chamber", str(arguments.chamber)]
     with tempfile.TemporaryDirectory(prefix="greenhouse-experiment-") as temporary:
         folder = Path(temporary)
@@ -132,11 +132,6 @@ def rig_of(arguments: argparse.Namespace) -> Iterator[tuple[Settings, Clock]]:
                 yield placed, clock
             finally:
                 clock.close()
-
-
-def _check_chamber(path: Path) -> None:
-    """Refuse here what the virtual board's process would hang or end on. Errors: DataError."""
-    read_yaml(dict[str, Any], path)
 
 
 def _virtual_facts(arguments: argparse.Namespace) -> dict[str, str]:

@@ -18,7 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, help="twin file to write")
     size = parser.add_mutually_exclusive_group(required=True)
     size.add_argument(
-        "--volume", type=_option_type(_volume), dest="volume_m3", help="of the air, such as 27l or 0.15m3"
+        "--volume",
+        type=_option_type(lambda word: quantity(word, VOLUME)),
+        dest="volume_m3",
+        help="of the air, such as 27l or 0.15m3",
     )
     size.add_argument(
         "--edges", type=_option_type(edges), dest="volume_m3", help="of the box inside, such as 50x50x60cm"
@@ -69,7 +72,3 @@ def _option_type(read: Callable[[str], Any]) -> Callable[[str], Any]:
             raise argparse.ArgumentTypeError(str(error)) from None
 
     return convert
-
-
-def _volume(word: str) -> float:
-    return quantity(word, VOLUME)

@@ -109,7 +109,8 @@ def _values(record: ProvenRecord, table: RecordTable) -> Iterator[tuple[str, flo
     error = np.abs(table.air_c - table.reference_c)
     yield "days", float(len(full_days(record)) - len(days_without_data(record, table)))
     yield "lost", _lost_percent(record, table)
-    yield "unexplained", float(_without_reason(record))
+    gaps = [gap for day in record.days for gap in day.gaps if not gap.reason]
+    yield "unexplained", float(sum(gap.last_seq - gap.first_seq + 1 for gap in gaps))
     yield "bytes", _mean(np.array([day.rows_bytes / 1e6 for day in record.days]))
     yield "hottest", None if np.isnan(table.air_c).all() else float(np.nanmax(table.air_c))
     yield "blind_heat", float(np.sum((table.duty > 0.0) & np.isnan(table.air_c) & normal))
@@ -155,10 +156,6 @@ def _lost_percent(record: ProvenRecord, table: RecordTable) -> float | None:
         if not np.isin(gap.last_seq + 1, table.seq[~outside])
     )
     return 100.0 * (skipped + missing) / (len(table.utc) + skipped + missing)
-
-
-def _without_reason(record: ProvenRecord) -> int:
-    return sum(gap.last_seq - gap.first_seq + 1 for day in record.days for gap in day.gaps if not gap.reason)
 
 
 def _is_false_trip(event: SealedEvent, table: RecordTable) -> bool:

@@ -1,6 +1,7 @@
 """The forecasts of a tick: score past forecasts, learn from the errors, roll each predictor out again."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -134,7 +135,8 @@ class Forecasting:
         made: dict[str, Forecast] = {}
         if len(history["temp_air"]):
             planned = planned_inputs(driven, decision.plan)
-            made = forecasts(self._active, history, planned, self._step_s, self._half_widths)
+            widths = partial(half_widths, self.state, self._intervals)
+            made = forecasts(self._active, history, planned, self._step_s, widths)
         return made, skills(self.state, self._all)
 
     def _set(
@@ -145,6 +147,3 @@ class Forecasting:
     ) -> None:
         self._active, self._intervals = dict(active), intervals or Intervals()
         self._all = self._active | {name + RIVAL: rival for name, rival in (rivals or {}).items()}
-
-    def _half_widths(self, name: str, version: str, horizons_min: Iterable[int]) -> dict[int, float]:
-        return half_widths(self.state, self._intervals, name, version, horizons_min)

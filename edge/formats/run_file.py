@@ -194,17 +194,13 @@ def _check_names(table: NumberTable, without: Collection[str]) -> None:
     for name in REQUIRED:
         if name in table.columns or name in without or name in table.facts:
             continue
-        hint = ""
+        known, hint = quote(list(table.columns), 500), ""
         if name in OPTION_WITHOUT:
             hint = (
                 f"; where it was not recorded, say so: {OPTION_WITHOUT[name]}, "
                 f"or the line '# {name}: {ABSENT}' above the header"
             )
-        raise DataError(f"{table.path}: {name} is not among the columns {_list_columns(table)}{hint}")
-
-
-def _list_columns(table: NumberTable) -> str:
-    return quote(list(table.columns), 500)
+        raise DataError(f"{table.path}: {name} is not among the columns {known}{hint}")
 
 
 def _near(name: str) -> list[str]:

@@ -71,16 +71,14 @@ class TwinQuestions:
             if not self.allowance.take():
                 reason = f"the twin answers one new question in {EVERY_S:g} s: try again soon"
                 raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, reason)
-            known = await run_command((*COMMAND, *self._config_words(), *words))
+            config = ("--config", self.config) if self.config else ()
+            known = await run_command((*COMMAND, *config, *words))
             self.answers[words] = time.monotonic(), known
             while len(self.answers) > KEEP_MAX:
                 self.answers.popitem(last=False)
         if not known["ok"]:
             raise RequestError(known["error"])
         return known
-
-    def _config_words(self) -> tuple[str, ...]:
-        return ("--config", self.config) if self.config else ()
 
 
 async def run_command(command: tuple[str, ...]) -> Json:

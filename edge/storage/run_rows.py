@@ -175,17 +175,13 @@ def reading(path: str | Path, busy_s: float = BUSY_S, how: str = "mode=ro") -> I
                 raise DataError(
                     f"{path}: its version is {version}, not {SCHEMA_VERSION}: let the daemon open it once"
                 )
-            _check_tables(connection, path)
+            # A view in a table's place is refused: its query may have no end.
+            for (name,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'view'"):
+                if not name.startswith("v_"):
+                    raise DataError(f"{path}: {plain(name)} is a view, and no view of a history is called so")
             yield connection
     except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite's words may repeat damaged bytes
         raise DataError(f"{path}: {error}") from error
-
-
-def _check_tables(connection: sqlite3.Connection, path: str | Path) -> None:
-    """Refuse a view in a table's place: its query may have no end. Errors: DataError"""
-    for (name,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'view'"):
-        if not name.startswith("v_"):
-            raise DataError(f"{path}: {plain(name)} is a view, and no view of a history is called so")
 
 
 def _text(stored: bytes) -> str:

@@ -110,7 +110,10 @@ def import_run(path: str | Path, run: RecordedRun, name: str) -> tuple[int, int]
         lowest = connection.execute("SELECT min(0, coalesce(min(seq), 0)) FROM ticks").fetchone()[0]
         first, last = lowest - rows, lowest - 1
         seqs = range(first, lowest)
-        cells = {key: [_or_none(value) for value in values] for key, values in run.columns.items()}
+        cells = {
+            key: [None if np.isnan(value) else float(value) for value in values]
+            for key, values in run.columns.items()
+        }
         nothing = [None] * rows
         columns: dict[str, list[Any]] = {
             "seq": list(seqs),
@@ -184,10 +187,6 @@ def _quality(value: float | None) -> ReadingQuality:
     return ReadingQuality.ABSENT if value is None else ReadingQuality.GOOD
 
 
-def _or_none(value: float) -> float | None:
-    return None if np.isnan(value) else float(value)
-
-
 def export_stretches(
     path: str | Path, since_utc: float | None = None, until_utc: float | None = None
 ) -> list[RecordedRun]:
@@ -204,7 +203,9 @@ def export_stretches(
         ticks = ticks_between(connection, None, None, since_utc, until_utc)
         if not ticks:
             raise DataError(f"{path}: there are no ticks in this stretch")
-        tests = _test_runs(connection)
+        tests = connection.execute(
+            "SELECT first_seq, last_seq FROM runs WHERE lower(trim(role)) = 'test' ORDER BY first_seq"
+        ).fetchall()
         calibrated = [seq for seq, _ in calibration_events(connection, ticks[0][0], ticks[-1][0])]
 
         def kind(tick: Tick) -> tuple[object, int, tuple[int, int] | None]:
@@ -215,9 +216,3 @@ def export_stretches(
             run_of_ticks(connection, path, list(rows), {"role": "test"} if test else {})
             for (*_, test), rows in groupby(ticks, kind)
         ]
-
-
-def _test_runs(connection: sqlite3.Connection) -> list[tuple[int, int]]:
-    return connection.execute(
-        "SELECT first_seq, last_seq FROM runs WHERE lower(trim(role)) = 'test' ORDER BY first_seq"
-    ).fetchall()

@@ -230,9 +230,10 @@ def new_point(
     raw, noise = desk.minute(signal).mean()
     reads = measurement(getattr(desk.configured, signal), raw)
     if not abs(true_value - reads) <= limits.off:
+        unit = "a share of 1" if kind.unit == "1" else kind.unit
         raise RequestError(
             f"{signal}: {amount(signal, true_value)} is too far from the reading of {amount(signal, reads)}: "
-            f"at most {amount(signal, limits.off)}. Is the value in {_unit_in_words(kind.unit)}?"
+            f"at most {amount(signal, limits.off)}. Is the value in {unit}?"
         )
     point = CalibrationPoint(signal, true_value, raw, noise, utc)
     for other in before:
@@ -312,10 +313,6 @@ def _is_good(sample: Reading) -> bool:
 
 def _limits(signal: str) -> PointLimits:
     return LIMITS[SIGNALS[signal].unit]
-
-
-def _unit_in_words(unit: str) -> str:
-    return "a share of 1" if unit == "1" else unit
 
 
 def _refuse(signal: str, error: SettingError, others: int) -> NoReturn:

@@ -162,7 +162,8 @@ class Decider:
             text = f"{name}: {answer.failure}"
             self._events.append(Event("controller.error", Severity.WARNING, text, context.now_s, context.utc))
             return None, "controller.raised", answer.wall_ms
-        if not _is_finite(answer.decision.command):
+        command = answer.decision.command
+        if not all(map(math.isfinite, (command.heater_duty, command.led, command.valve_pulse_s))):
             return None, "controller.not_a_number", answer.wall_ms
         return answer.decision, "", answer.wall_ms
 
@@ -174,7 +175,3 @@ def decision_deadline_s(settings: ControlSettings) -> float:
 
 def _nobody(failure: str) -> Decision:
     return Decision(Command(), "none", why={"failure": failure})
-
-
-def _is_finite(command: Command) -> bool:
-    return all(map(math.isfinite, (command.heater_duty, command.led, command.valve_pulse_s)))

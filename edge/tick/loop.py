@@ -318,7 +318,9 @@ class Loop:
         board = self._rig.board
         board.drive(verdict.sent, verdict.open_cutoff, self._step_s)
         echo = board.serve_until_echo(min(ECHO_TIMEOUT_S, self._step_s / 2)) if board.link_up else None
-        self._sent = Command() if echo is None else _driven_command(echo)
+        self._sent = Command()
+        if echo is not None:
+            self._sent = Command(echo.heater_duty, echo.fan_on, echo.led, fan_share=echo.fan_share)
         return echo
 
     def _note_conditions(
@@ -631,10 +633,6 @@ def _as_saved(reply: Reply, error: str) -> Reply:
         "ok": False,
         "error": f"in force now, but it will not survive a restart: not saved, {error}",
     }
-
-
-def _driven_command(echo: Echo) -> Command:
-    return Command(echo.heater_duty, echo.fan_on, echo.led, fan_share=echo.fan_share)
 
 
 def _witness(pair: AirSensorPair, air: Reading | None, estimate: Estimate) -> str:

@@ -3,7 +3,6 @@
 Command line, MQTT and, later, a language model end in the same `operate`. All of it survives a restart.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -13,7 +12,6 @@ from typing import Annotated, Any, TypeVar
 from edge.core.errors import RequestError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN
 from edge.core.messages import Change, Command
-from edge.core.names import HEATER_LEVELS
 from edge.core.plain_text import plain, quote
 from edge.formats.cross_check import ABSENT, REQUIRED, Rule
 from edge.formats.reader import DocumentError, read, read_number
@@ -26,7 +24,7 @@ from edge.tick.calibration import (
     new_point,
 )
 from edge.tick.standing_profile import NAME_MAX, StandingProfile
-from edge.tick.steering import Steering, problem, steer
+from edge.tick.steering import Steering, level_below, problem, steer
 from edge.tick.steering import from_dict as steering_from_dict
 
 Request = Mapping[str, Any]
@@ -314,7 +312,7 @@ def _set_manual(operation: Operation, asked: SetManual, desk: Desk) -> Operation
     duty = stands.heater_duty if asked.heater_duty is None else asked.heater_duty
     fan_on = stands.fan_on if asked.fan_on is None else asked.fan_on >= 1.0
     led = stands.led if asked.led is None else asked.led
-    manual = Command(math.floor(duty * HEATER_LEVELS + 1e-9) / HEATER_LEVELS, fan_on, led)
+    manual = Command(level_below(duty), fan_on, led)
     return replace(operation, mode=Mode.MANUAL, manual=manual)
 
 

@@ -135,11 +135,12 @@ def penalty_of(steering: Steering) -> Penalty:
 def steer(command: Command, steering: Steering, since_midnight_s: float) -> Command:
     """Return the command as far as the operator's constraints allow it."""
     if steering.heater_max_duty is not None and not command.heater_duty <= steering.heater_max_duty:
-        command = replace(command, heater_duty=_level_below(steering.heater_max_duty))
+        command = replace(command, heater_duty=level_below(steering.heater_max_duty))
     if command.fan_on and steering.rest_left_s(since_midnight_s) > 0.0:
         command = replace(command, fan_on=False)
     return command
 
 
-def _level_below(duty: float) -> float:
+def level_below(duty: float) -> float:
+    """Return the highest level of the heater that is not above `duty` [0..1]."""
     return math.floor(duty * HEATER_LEVELS + 1e-9) / HEATER_LEVELS

@@ -125,13 +125,9 @@ def _show(engine: Engine, with_rigs: bool) -> None:
             for kind, figures in wave["kinds"].items():
                 print(f"    {kind or '-':<16} {_in_words(figures)}")
         if with_rigs:
-            _show_rigs(engine, rollout["number"])
-
-
-def _show_rigs(engine: Engine, number: int) -> None:
-    with Session(engine) as session:
-        for row in rigs_of(session, session.get_one(BundleRollout, number)):
-            print(f"  {row.rig:<24} wave {row.wave} {row.state}{f': {row.why}' if row.why else ''}")
+            with Session(engine) as session:
+                for row in rigs_of(session, session.get_one(BundleRollout, rollout["number"])):
+                    print(f"  {row.rig:<24} wave {row.wave} {row.state}{f': {row.why}' if row.why else ''}")
 
 
 def _state(row: Mapping[str, str]) -> str:

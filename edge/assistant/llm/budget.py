@@ -86,8 +86,5 @@ class Budget:
         self._save(self._spent)
 
     def _of_today(self) -> Spending:
-        today = self._today()
+        today = datetime.fromtimestamp(self._utc(), UTC).date().isoformat()
         return self._spent if self._spent.day == today else Spending(today)
-
-    def _today(self) -> str:
-        return datetime.fromtimestamp(self._utc(), UTC).date().isoformat()

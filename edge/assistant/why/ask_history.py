@@ -85,13 +85,14 @@ def explain(record: TickRecord, zone: tzinfo | None) -> list[str]:
 
 def _sentences(record: TickRecord, zone: tzinfo | None) -> Iterator[str]:
     begin = datetime.fromtimestamp(record.utc, zone)
-    sent = f"{_command(record.sent)}{_confirmation(record)}"
-    yield f"Tick {record.seq}, {begin:%Y-%m-%d %H:%M:%S}: sent {sent}."
+    how = "confirmed by the board" if record.echo is not None else "which the board did not confirm"
+    yield f"Tick {record.seq}, {begin:%Y-%m-%d %H:%M:%S}: sent {_command(record.sent)}, {how}."
     yield _sensor_text(record)
     yield from _decision_lines(record.decision, record.wanted, record.mode)
     for change in record.changes:
+        who = "Standing orders" if change.rule.startswith("operator.") else "Safety"
         yield (
-            f"{_who(change.rule)} changed {change.actuator} from {change.wanted:g} to {change.sent:g}: "
+            f"{who} changed {change.actuator} from {change.wanted:g} to {change.sent:g}: "
             f"{change.reason} ({change.rule})."
         )
     if not record.changes:
@@ -130,14 +131,6 @@ def _expecting(forecast: Sequence[float]) -> str:
         return ""
     first, last = _degrees(forecast[0], 2), _degrees(forecast[-1], 2)
     return f" and expected {first} after the step, {last} after {len(forecast)} steps"
-
-
-def _who(rule: str) -> str:
-    return "Standing orders" if rule.startswith("operator.") else "Safety"
-
-
-def _confirmation(record: TickRecord) -> str:
-    return ", confirmed by the board" if record.echo is not None else ", which the board did not confirm"
 
 
 def _command(command: Command) -> str:

@@ -141,7 +141,8 @@ def solve(
     assert best is not None and narrow is not None
     if not (proven or found.stopped):
         best = _look_around(problem, best, narrow)
-    runner_up = search(problem, bounds, _RUNNER_UP_WIDTH, np.inf, other_than=_first_step(best)).plan
+    first = int(best.levels[0]), int(best.fan[0])
+    runner_up = search(problem, bounds, _RUNNER_UP_WIDTH, np.inf, other_than=first).plan
     if runner_up is not None and runner_up.cost < best.cost:
         best, runner_up = runner_up, best
     return Solution(best, min(bound, best.cost), proven, runner_up, nodes, found.stopped)
@@ -179,7 +180,3 @@ def _root_bound(problem: PlanningProblem, bounds: Tangent) -> float:
     rules = problem.fan_rules
     bound = float(bounds.constant[0, int(rules.on), rules.hold] + bounds.slope @ problem.free)
     return max(bound - rounding_margin(abs(bound)), 0.0)
-
-
-def _first_step(plan: Plan) -> tuple[int, int]:
-    return int(plan.levels[0]), int(plan.fan[0])
