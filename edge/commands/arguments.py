@@ -4,7 +4,7 @@ import argparse
 import math
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,6 +24,18 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", type=Path, default=RIG_CONFIG, help="the rig's configuration file; default: %(default)s"
     )
+
+
+def add_actions(
+    parser: argparse.ArgumentParser, helps: Mapping[str, str], otherwise: str = ""
+) -> dict[str, argparse.ArgumentParser]:
+    """Add a parser for each action. otherwise : what is done without one, "" for nothing"""
+    said = f"default: {otherwise}" if otherwise else None
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=not otherwise, help=said)
+    return {
+        name: actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        for name, text in helps.items()
+    }
 
 
 def add_bounds(parser: argparse.ArgumentParser) -> None:

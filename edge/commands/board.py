@@ -7,7 +7,7 @@ from edge.board.board_file import BOARDS, read_board_file
 from edge.board.board_session import BAUDRATE, BoardSession
 from edge.board.board_tool import configuration, configure, flash, show
 from edge.board.wiring import wiring_svg, wiring_table
-from edge.commands.arguments import whole, writing
+from edge.commands.arguments import add_actions, whole, writing
 from edge.commands.orders import print_answer
 from edge.commands.which_rig import add_socket, socket_of
 from edge.config.settings import BoardSettings
@@ -26,11 +26,7 @@ HELPS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    subs = {
-        name: actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        for name, text in HELPS.items()
-    }
+    subs = add_actions(parser, HELPS)
     for name in ("check", "wiring", "configure"):
         subs[name].add_argument("file", type=Path, metavar="FILE", help="the board.yaml")
     subs["wiring"].add_argument(

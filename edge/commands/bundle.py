@@ -18,6 +18,7 @@ from edge.bundle.predictors import loader
 from edge.bundle.proof import Prover
 from edge.bundle.roles import Roles
 from edge.bundle.store import LOCK, BundleStore
+from edge.commands.arguments import add_actions
 from edge.commands.which_rig import RIG_CONFIG
 from edge.config import loading as config
 from edge.config.settings import Settings
@@ -47,11 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=None,
         help=f"configuration file; default: {RIG_CONFIG} where there is one, else every setting's default",
     )
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    action = {
-        name: actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        for name, text in ACTIONS.items()
-    }
+    action = add_actions(parser, ACTIONS)
     for name in ("verify", "install"):
         action[name].add_argument("bundle", type=Path, help="archive or folder of the bundle")
     action["install"].add_argument(

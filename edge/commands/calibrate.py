@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 from typing import Any
 
-from edge.commands.arguments import number
+from edge.commands.arguments import add_actions, number
 from edge.commands.orders import print_answer
 from edge.commands.which_rig import add_socket, socket_of
 from edge.config.settings import SensorCalibration
@@ -28,9 +28,7 @@ ACTIONS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command and its actions."""
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    for name, (_, text) in ACTIONS.items():
-        action = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    for name, action in add_actions(parser, {name: text for name, (_, text) in ACTIONS.items()}).items():
         if name != "show":
             action.add_argument("signal", choices=SIGNALS, metavar="SIGNAL", help=", ".join(SIGNALS))
         if name == "point":

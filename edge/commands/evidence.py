@@ -4,7 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from edge.commands.arguments import writing
+from edge.commands.arguments import add_actions, writing
 from edge.commands.bundle import settings_of, store_of
 from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import Settings
@@ -31,11 +31,7 @@ ACTIONS = {  # action -> help
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    action = {
-        name: actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        for name, text in ACTIONS.items()
-    }
+    action = add_actions(parser, ACTIONS)
     for name in ("start", "extend", "mark", "seal"):
         action[name].add_argument("--config", type=Path, help=f"configuration file (default: {RIG_CONFIG})")
         action[name].add_argument(

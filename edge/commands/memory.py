@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
-from edge.commands.arguments import whole
+from edge.commands.arguments import add_actions, whole
 from edge.commands.orders import print_answer
 from edge.commands.which_rig import add_socket, socket_of
 from edge.sockets.client import request
@@ -21,9 +21,8 @@ ACTIONS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command and its actions."""
     parser.set_defaults(socket=None)
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", help="default: list")
-    for name, (_, text) in ACTIONS.items():
-        action = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    helps = {name: text for name, (_, text) in ACTIONS.items()}
+    for name, action in add_actions(parser, helps, otherwise="list").items():
         if name in ("edit", "forget"):
             action.add_argument("id", type=whole(1), nargs=None if name == "edit" else "?", help="as listed")
         if name == "forget":

@@ -8,7 +8,7 @@ import time
 from datetime import datetime
 from pathlib import Path
 
-from edge.commands.arguments import number, whole
+from edge.commands.arguments import add_actions, number, whole
 from edge.commands.bundle import settings_of
 from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import Settings
@@ -37,11 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", type=Path, help=f"configuration file; default: {RIG_CONFIG}, else every setting's default"
     )
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", help="default: serve the page")
-    pair, link, person, _, revoke, _ = (
-        actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        for name, text in ACTIONS.items()
-    )
+    pair, link, person, _, revoke, _ = add_actions(parser, ACTIONS, otherwise="serve the page").values()
     for each, role in ((pair, Role.ADMIN), (link, Role.VIEW)):
         each.add_argument(
             "--role", choices=ROLES, default=role.word, help="what they may; default: %(default)s"

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from edge.commands.arguments import add_actions
 from edge.commands.orders import print_answer
 from edge.commands.which_rig import add_socket, socket_of
 from edge.core.errors import DataError
@@ -22,9 +23,7 @@ ACTIONS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command and its actions."""
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    for name, text in ACTIONS.items():
-        action = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    for name, action in add_actions(parser, ACTIONS).items():
         if name == "start":
             action.add_argument("file", type=Path, help="times rise from 0 [s]; a row holds until the next")
             action.add_argument("--lines", action="store_true", help="straight lines from row to row instead")

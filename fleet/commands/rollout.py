@@ -11,7 +11,7 @@ from pathlib import Path
 from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 
-from edge.commands.arguments import whole
+from edge.commands.arguments import add_actions, whole
 from fleet.database.base import open_database
 from fleet.database.lease import FleetLease, LeaseLost
 from fleet.database.tables import BundleRollout
@@ -36,11 +36,7 @@ ACTIONS = {
 
 def add_rollout_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the actions."""
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    action = {
-        name: actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        for name, text in ACTIONS.items()
-    }
+    action = add_actions(parser, ACTIONS)
     for each in action.values():  # where people write it, too
         each.add_argument("--settings", type=Path, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     action["start"].add_argument("bundle", type=Path, help="archive or folder of the bundle")
