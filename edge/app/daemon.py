@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Self
+from typing import Any, Self
 
 from edge.app.active_models import ActiveModels
 from edge.app.box import bounds_of
@@ -337,27 +337,20 @@ class Daemon:
     def _orders(self, standing: Operation) -> Operation:
         if not self.experiment:
             return standing
-        return Operation(
-            controller=self.experiment,
-            emergency_stop=standing.emergency_stop,
-            maintenance_until_utc=standing.maintenance_until_utc,
-            points=standing.points,
-            calibrations=standing.calibrations,
-        )
+        return Operation(self.experiment, **_outliving(standing))
 
     def _save(self, state: StandingSink, standing: Operation) -> SaveState:
-        """Return the sink that saves orders. Only stops and calibrations outlive an experiment."""
+        """Return the sink that saves orders."""
         if not self.experiment:
             return state.save
 
         def save(operation: Operation, memory: SafetyMemory, answered: Answered | None = None) -> None:
-            outliving = replace(
-                standing,
-                emergency_stop=operation.emergency_stop,
-                maintenance_until_utc=operation.maintenance_until_utc,
-                points=operation.points,
-                calibrations=operation.calibrations,
-            )
-            state.save(outliving, memory, answered)
+            state.save(replace(standing, **_outliving(operation)), memory, answered)
 
         return save
+
+
+def _outliving(operation: Operation) -> dict[str, Any]:
+    """Return the orders that hold in an experiment too, and outlive it."""
+    names = ("emergency_stop", "maintenance_until_utc", "points", "calibrations")
+    return {name: getattr(operation, name) for name in names}
