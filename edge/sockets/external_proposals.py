@@ -20,7 +20,6 @@ buffer, which is bounded, and is thrown away before the next question.
 """
 
 import contextlib
-import json
 import select
 import socket
 import time
@@ -30,6 +29,7 @@ from typing import Any
 
 from edge.core.errors import RequestError
 from edge.formats.reader import DocumentError, parse_json
+from edge.sockets.client import encode_line
 from edge.sockets.unix_socket import listen
 
 LINE_MAX = 65536  # longest answer, and most that may wait between two ticks [bytes]
@@ -116,12 +116,12 @@ def _is_there(client: socket.socket) -> bool:
 
 def _refuse(connection: socket.socket) -> None:
     with contextlib.suppress(OSError):
-        connection.send(_line({"refused": "another client is connected"}))
+        connection.send(encode_line({"refused": "another client is connected"}))
     connection.close()
 
 
 def _send(client: socket.socket, message: Mapping[str, Any], give_up_s: float) -> None:
-    unsent = _line(message)
+    unsent = encode_line(message)
     while unsent:
         left_s = give_up_s - time.monotonic()
         if not left_s > 0.0 or not select.select([], [client], [], left_s)[1]:
@@ -166,7 +166,3 @@ def _parse(line: bytes) -> dict[str, Any]:
         return parse_json(line, "answer")
     except DocumentError as error:
         raise _BrokenClient(str(error)) from None
-
-
-def _line(message: Mapping[str, Any]) -> bytes:
-    return json.dumps(message, separators=(",", ":"), allow_nan=False).encode() + b"\n"

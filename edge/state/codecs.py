@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.assistant.llm.budget import Spending
 from edge.core.clock import Moment
 from edge.core.controller_names import CONTROLLERS
 from edge.core.errors import DataError
@@ -243,13 +242,3 @@ def _array(values: MaybeNumbers, like: Floats, instead_of_null: float = math.nan
     if found.size != like.size or not (np.isfinite(found) | (found == instead_of_null)).all():
         raise DataError(f"{found.size} numbers, not {like.size}, or null among them")
     return found.reshape(like.shape)
-
-
-def encode_spending(spent: Spending) -> dict[str, Any]:
-    """Return a key each."""
-    return asdict(spent)
-
-
-def decode_spending(values: Mapping[str, Any]) -> Spending:
-    """Invert `encode_spending`. Errors: DataError"""
-    return read(Spending, values)

@@ -10,7 +10,7 @@ and may be as old as its row says.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -116,8 +116,8 @@ LLM_BUDGET = StoredValue(
     "assistant",
     "its UTC day; a kill costs a minute",
     _beside("llm_budget.json"),
-    codecs.encode_spending,
-    codecs.decode_spending,
+    asdict,
+    lambda values: read(Spending, values),
     lambda settings, why: Spending(""),
     pause_s=60.0,  # five exchanges a step would be five writes
 )

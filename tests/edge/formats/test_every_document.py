@@ -61,6 +61,7 @@ from edge.page.alarms.trial import ChannelTrial, TrialAnswer
 from edge.safety.memory import Dose, SafetyMemory
 from edge.state import codecs
 from edge.state.codecs import DriftDocument, SafetyDocument, SkillDocument, StandingDocument
+from edge.state.store import LLM_BUDGET
 from edge.tick import orders_json, steering
 from edge.tick.calibration import CalibrationPoint, StandingCalibration
 from edge.tick.orders import (
@@ -339,9 +340,7 @@ KINDS: dict[type, DocumentKind] = {
     Steering: in_memory_by(steering.from_dict, steering.to_dict(STEERING), ("until_utc",)),
     SkillDocument: in_memory_by(codecs.decode_skill, codecs.encode_skill(SKILL), ("pairs", 0, 6)),
     DriftDocument: in_memory_by(codecs.decode_drift, codecs.encode_drift(DRIFT), ("sums", 0)),
-    Spending: in_memory_by(
-        codecs.decode_spending, codecs.encode_spending(Spending("2026-07-01", 5)), ("tokens",)
-    ),
+    Spending: in_memory_by(LLM_BUDGET.decode, LLM_BUDGET.encode(Spending("2026-07-01", 5)), ("tokens",)),
     StandingProfile: in_memory(
         StandingProfile,
         {"name": "a", "times_s": [0.0, 60.0], "targets_c": [20.0, 25.0]},
