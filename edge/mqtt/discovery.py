@@ -104,7 +104,9 @@ def _components(settings: Settings, topics: Topics) -> Json:
             key: {"expire_after": expire_s, **sensor}
             for key, sensor in {**_sensors(topics), **skill_sensors(topics)}.items()
         },
-        {"controller": _controller_sensor(topics), "last_event": _event_sensor(topics)},
+        # Who decided the last step is not always the chosen one.
+        {"controller": _text_sensor("Decided by", topics.decision, _value("controller"))},
+        {"last_event": _text_sensor("Last event", topics.event, _text("text"))},
         {"last_answer": _answer_sensor(topics)},
         {**_binary_sensors(topics), "twin_disagrees": _drift_sensor(topics)},
         _buttons(topics),
@@ -210,25 +212,14 @@ def _counter(name: str, key: str) -> Json:
     return {**_diagnostic(name, key, None, None, 0), "state_class": "total_increasing"}
 
 
-def _controller_sensor(topics: Topics) -> Json:
-    """Who decided the last step (not always the chosen one), with the whole "why" as attributes."""
+def _text_sensor(name: str, topic: str, template: str) -> Json:
+    """Return a sensor with a text; all of its message is attributes."""
     return {
         "platform": "sensor",
-        "name": "Decided by",
-        "state_topic": topics.decision,
-        "value_template": _value("controller"),
-        "json_attributes_topic": topics.decision,
-        "entity_category": "diagnostic",
-    }
-
-
-def _event_sensor(topics: Topics) -> Json:
-    return {
-        "platform": "sensor",
-        "name": "Last event",
-        "state_topic": topics.event,
-        "value_template": f"{{{{ value_json.text[:{ENTITY_TEXT_MAX}] }}}}",
-        "json_attributes_topic": topics.event,
+        "name": name,
+        "state_topic": topic,
+        "value_template": template,
+        "json_attributes_topic": topic,
         "entity_category": "diagnostic",
     }
 
@@ -237,14 +228,7 @@ def _answer_sensor(topics: Topics) -> Json:
     """Return the answer to the last order over MQTT, so that a refusal can be seen where it was given."""
     refused = f"value_json.command ~ ': ' ~ value_json.get('error', 'refused')[:{ENTITY_TEXT_MAX - 45}]"
     done = f"value_json.get('message', value_json.command ~ ': done')[:{ENTITY_TEXT_MAX}]"
-    return {
-        "platform": "sensor",
-        "name": "Last answer",
-        "state_topic": topics.reply,
-        "value_template": f"{{{{ {done} if value_json.ok else {refused} }}}}",
-        "json_attributes_topic": topics.reply,
-        "entity_category": "diagnostic",
-    }
+    return _text_sensor("Last answer", topics.reply, f"{{{{ {done} if value_json.ok else {refused} }}}}")
 
 
 def _drift_sensor(topics: Topics) -> Json:
@@ -304,41 +288,29 @@ def _buttons(topics: Topics) -> dict[str, Json]:
     }
     return {
         what: {
-            "platform": "button",
-            "name": name,
-            "command_topic": topics.command(what),
-            "payload_press": PRESS,
+            **_button(topics, what, name),
             "enabled_by_default": not what.endswith("emergency_stop"),
         }
         for what, name in names.items()
     }
 
 
+def _button(topics: Topics, what: str, name: str) -> Json:
+    return {
+        "platform": "button",
+        "name": name,
+        "command_topic": topics.command(what),
+        "payload_press": PRESS,
+    }
+
+
 def _inputs(topics: Topics) -> dict[str, Json]:
     return {
-        "stop": {
-            "platform": "switch",
-            "name": "Emergency stop",
-            "command_topic": topics.command("emergency_stop"),
-            "payload_on": ON,
-            "payload_off": OFF,
-            "state_topic": topics.state,
-            "value_template": _value("emergency_stop"),
-            "state_on": "1",
-            "state_off": "0",
-        },
-        "maintenance": {
-            "platform": "switch",
-            "name": "Maintenance",
-            "command_topic": topics.command("maintenance"),
-            # A switch knows no minutes: it asks for as many as a person at the box needs.
-            "payload_on": str(min(MAINTENANCE_MIN, int(MAINTENANCE_MAX_MIN))),
-            "payload_off": "0",
-            "state_topic": topics.state,
-            "value_template": _value("maintenance"),
-            "state_on": "1",
-            "state_off": "0",
-        },
+        "stop": _switch(topics, "emergency_stop", "Emergency stop", ON, OFF),
+        # A switch knows no minutes: it asks for as many as a person at the box needs.
+        "maintenance": _switch(
+            topics, "maintenance", "Maintenance", str(min(MAINTENANCE_MIN, int(MAINTENANCE_MAX_MIN))), "0"
+        ),
         "manual_heater_duty": {
             "platform": "number",
             "name": "Manual heater duty",
@@ -355,6 +327,20 @@ def _inputs(topics: Topics) -> dict[str, Json]:
     }
 
 
+def _switch(topics: Topics, what: str, name: str, on: str, off: str) -> Json:
+    return {
+        "platform": "switch",
+        "name": name,
+        "command_topic": topics.command(what),
+        "payload_on": on,
+        "payload_off": off,
+        "state_topic": topics.state,
+        "value_template": _value(what),
+        "state_on": "1",
+        "state_off": "0",
+    }
+
+
 def _wishes(settings: Settings, topics: Topics) -> dict[str, Json]:
     """Entities for requests in words; without a language model they exist and are disabled.
 
@@ -365,26 +351,21 @@ def _wishes(settings: Settings, topics: Topics) -> dict[str, Json]:
             "name": "Ask",
             "command_topic": topics.command("ask"),
             "state_topic": topics.proposal,
-            "value_template": f"{{{{ value_json.words[:{ENTITY_TEXT_MAX}] }}}}",
+            "value_template": _text("words"),
             "max": ENTITY_TEXT_MAX,
         },
         "proposal": {
             "platform": "sensor",
             "name": "Proposal",
             "state_topic": topics.proposal,
-            "value_template": f"{{{{ value_json.text[:{ENTITY_TEXT_MAX}] }}}}",
+            "value_template": _text("text"),
             "json_attributes_topic": topics.proposal,
             # Home Assistant drops an attribute named `state`.
             "json_attributes_template": "{{ dict(value_json, stage=value_json.state) | tojson }}",
         },
         "confirm_proposal": _about_proposal(topics, "confirm", "Confirm the proposal"),
         "discard_proposal": _about_proposal(topics, "discard", "Discard the proposal"),
-        "undo": {
-            "platform": "button",
-            "name": "Undo what was confirmed",
-            "command_topic": topics.command("undo"),
-            "payload_press": PRESS,
-        },
+        "undo": _button(topics, "undo", "Undo what was confirmed"),
     }
     # Disabled rather than left out: what stands on a dashboard stays there.
     return {key: {**wish, "enabled_by_default": bool(settings.llm.url)} for key, wish in wishes.items()}
@@ -427,28 +408,19 @@ def _commissioning(settings: Settings, topics: Topics) -> dict[str, Json]:
     The switch "Maintenance" pauses the tests.
     """
     entities: dict[str, Json] = {
-        what: {
-            "platform": "button",
-            "name": name,
-            "command_topic": topics.command(what),
-            "payload_press": PRESS,
-            "entity_category": "config",
-        }
+        what: {**_button(topics, what, name), "entity_category": "config"}
         for what, name in {"commission": "Commission", "end_commissioning": "End commissioning"}.items()
     }
-    entities["commissioning"] = {
-        "platform": "sensor",
-        "name": "Commissioning",
-        "state_topic": topics.commissioning,
-        "value_template": _value("text"),
-        "json_attributes_topic": topics.commissioning,
-        "entity_category": "diagnostic",
-    }
+    entities["commissioning"] = _text_sensor("Commissioning", topics.commissioning, _value("text"))
     return {key: {**own, "enabled_by_default": bool(settings.box.twin)} for key, own in entities.items()}
 
 
 def _value(key: str) -> str:
     return f"{{{{ value_json.{key} }}}}"
+
+
+def _text(key: str) -> str:
+    return f"{{{{ value_json.{key}[:{ENTITY_TEXT_MAX}] }}}}"
 
 
 def _percent(key: str) -> str:
