@@ -75,18 +75,6 @@ def choose(store: BundleStore, loaded: Mapping[str, LoadedBundle] | None = None)
 Action = Callable[[BundleStore, str | None], Roles]
 
 
-def _activate(store: BundleStore, version: str | None) -> Roles:
-    return store.change(partial(activate, version=version))
-
-
-def _roll_back(store: BundleStore, version: str | None) -> Roles:
-    return store.roll_back(version)
-
-
-def _reject(store: BundleStore, version: str | None) -> Roles:
-    return store.change(partial(reject_shadow, version=version))
-
-
 def _undo_adoption(store: BundleStore, version: str | None) -> Roles:
     """Take back the twin that was adopted last, from shadow or from the active bundle."""
     roles = store.roles()
@@ -94,21 +82,18 @@ def _undo_adoption(store: BundleStore, version: str | None) -> Roles:
     if last is None:
         beside = roles.shadow or "none"
         raise RequestError(f"no adopted twin runs: bundle {roles.active} is active, {beside} beside it")
-    return (_reject if last == roles.shadow else _roll_back)(store, version or last)
-
-
-def _refresh(store: BundleStore, version: str | None) -> Roles:
-    return store.roles()
+    return ACTIONS["reject" if last == roles.shadow else "rollback"](store, version or last)
 
 
 ACTIONS: dict[str, Action] = {
-    "activate": _activate,
-    "rollback": _roll_back,
+    "activate": lambda store, version: store.change(partial(activate, version=version)),
+    "rollback": BundleStore.roll_back,
     "mark-good": lambda store, version: store.change(marked_good),
-    "reject": _reject,
+    "reject": lambda store, version: store.change(partial(reject_shadow, version=version)),
     "undo-adoption": _undo_adoption,
-    "refresh": _refresh,  # changes nothing: the daemon reads again what others have changed
-    "refresh-older": _refresh,  # the same after `install --allow-older VERSION`, for the event
+    # Changes nothing: the daemon reads again what others have changed.
+    "refresh": lambda store, version: store.roles(),
+    "refresh-older": lambda store, version: store.roles(),  # after `install --allow-older VERSION`
 }
 
 
