@@ -65,8 +65,8 @@ class UnitAnswer:
     code: Any
 
 
-class NoUnit(Exception):
-    """The unit took up no request, or ended without an answer; the text says which."""
+class BackgroundFailure(Exception):
+    """A command that was not run, or came to no end; the text is for people."""
 
 
 def ask(
@@ -76,7 +76,7 @@ def ask(
 
     is_over : the daemon ends, and the unit with it
     Returns : its exit code, below 0 the signal that ended it; LATE
-    Errors : NoUnit; DataError of an answer that can't be read
+    Errors : BackgroundFailure; DataError of an answer that can't be read
     """
     folder.mkdir(parents=True, exist_ok=True)
     request, answer = folder / REQUEST, folder / ANSWER
@@ -87,7 +87,7 @@ def ask(
     try:
         _wait(lambda: not request.exists(), START_MAX_S, is_over, "greenhouse-diagnosis.path is not active")
         _wait(answer.exists, patience_s + END_MAX_S, is_over, "greenhouse-diagnosis.service gave no answer")
-    except NoUnit:
+    except BackgroundFailure:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     code = read_json(UnitAnswer, answer).code
@@ -129,9 +129,9 @@ def _wait(condition: Callable[[], bool], at_most_s: float, is_over: Callable[[],
     until = monotonic() + at_most_s
     while not condition():
         if is_over():
-            raise NoUnit("the daemon ends")
+            raise BackgroundFailure("the daemon ends")
         if monotonic() > until:
-            raise NoUnit(failed)
+            raise BackgroundFailure(failed)
         sleep(LOOK_S)
 
 
@@ -191,10 +191,6 @@ class Places:
     requests: Path | None = None
 
 
-class BackgroundFailure(Exception):
-    """A command that was not run to its end; the text is for people."""
-
-
 class BackgroundProcess:
     """Runs `greenhouse` at the lowest priority, one command at a time, by the unit or as a child.
 
@@ -214,10 +210,7 @@ class BackgroundProcess:
         """
         if self._requests is not None:
             with _ONE_REQUEST:
-                try:
-                    return ask(self._requests, words, log, patience_s, lambda: self._closing)
-                except NoUnit as error:
-                    raise BackgroundFailure(str(error)) from None
+                return ask(self._requests, words, log, patience_s, lambda: self._closing)
         command = [*self._program, *words]
         with log.open("ab") as out, self._lock:
             if self._closing:
@@ -337,7 +330,7 @@ class NightlyDiagnosis:
         while (job := self._jobs.get()) is not None:
             try:
                 job()
-            except (_DiagnosisFailure, BackgroundFailure) as failure:
+            except BackgroundFailure as failure:
                 self._tell("diagnosis.failed", str(failure), Severity.WARNING)
             except Exception as error:  # a full disk, a bug: told, and the next night tries again
                 self._tell("diagnosis.failed", f"{type(error).__name__}: {error}", Severity.WARNING)
@@ -348,7 +341,7 @@ class NightlyDiagnosis:
         settings, places = self._settings, self._places
         twin = places.twin()
         if twin is None:
-            raise _DiagnosisFailure("no twin runs, so there is none to diagnose")
+            raise BackgroundFailure("no twin runs, so there is none to diagnose")
         report.mkdir(parents=True, exist_ok=True)
         prune(report.parent)
         self._tell("diagnosis.started", f"the diagnosis of the last {settings.diagnose_since_d:g} days began")
@@ -365,7 +358,10 @@ class NightlyDiagnosis:
             twin,
         )
         self._call(("diagnose", *given, "--out", report), report / LOG, 60.0 * settings.diagnose_max_min)
-        found = _findings(report / DIAGNOSIS)
+        try:
+            found = read_json(Findings, report / DIAGNOSIS)
+        except DocumentError as error:
+            raise BackgroundFailure(str(error)) from error
         self._tell("diagnosis.done", f"{_in_words(found)}; report: {report}")
         if found.twin_after and settings.adopt in _HOW:
             self._adopt(report)
@@ -383,7 +379,7 @@ class NightlyDiagnosis:
             said = f"the twin of {report.name} is adopted: {self._run_adoption(report, how)}"
             self._tell("diagnosis.adopted", with_author(said, request))
             error = ""
-        except (_DiagnosisFailure, BackgroundFailure, OSError) as failure:
+        except (BackgroundFailure, OSError) as failure:
             error = plain(str(failure), ERROR_MAX)
             self._tell("diagnosis.failed", with_author(f"{report.name}: {error}", request), Severity.WARNING)
         finally:
@@ -396,12 +392,12 @@ class NightlyDiagnosis:
         return _last_line(report / LOG)
 
     def _call(self, words: Sequence[str | Path], log: Path, patience_s: float) -> None:
-        """Run `greenhouse twin ...` to its end. Errors: _DiagnosisFailure, BackgroundFailure"""
+        """Run `greenhouse twin ...` to its end. Errors: BackgroundFailure"""
         code = self._background.run(["twin", *map(str, words)], log, patience_s)
         if code == LATE:
-            raise _DiagnosisFailure(f"{words[0]}: took longer than {patience_s / 60.0:g} min and was ended")
+            raise BackgroundFailure(f"{words[0]}: took longer than {patience_s / 60.0:g} min and was ended")
         if code != 0:
-            raise _DiagnosisFailure(f"{words[0]}: ended with {code}: {_cause(code, _last_line(log))}")
+            raise BackgroundFailure(f"{words[0]}: ended with {code}: {_cause(code, _last_line(log))}")
 
     def _tell(self, key: str, text: str, severity: Severity = Severity.INFO) -> None:
         self._told.append((key, severity, text))
@@ -422,10 +418,6 @@ class Findings(Foreign):
     effects: tuple[FoundEffect, ...] = ()
     depends_on: tuple[str, ...] = ()
     twin_after: str | None = None
-
-
-class _DiagnosisFailure(Exception):
-    """A diagnosis that came to no end; the text is for people."""
 
 
 def is_due(before_utc: float, utc: float, at: time, zone: tzinfo | None) -> bool:
@@ -450,14 +442,6 @@ def prune(reports: Path) -> None:
 def _kill(process: "subprocess.Popen[bytes]") -> None:
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
-
-
-def _findings(path: Path) -> Findings:
-    """Errors: _Failed"""
-    try:
-        return read_json(Findings, path)
-    except DocumentError as error:
-        raise _DiagnosisFailure(str(error)) from error
 
 
 def _in_words(found: Findings) -> str:

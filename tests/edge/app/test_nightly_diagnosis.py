@@ -24,8 +24,8 @@ from edge.app.nightly_diagnosis import (
     REPORTS_KEPT,
     REQUEST,
     ROWS_MAX,
+    BackgroundFailure,
     NightlyDiagnosis,
-    NoUnit,
     Places,
     ask,
     is_due,
@@ -414,7 +414,7 @@ def test_an_old_answer_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
 
 def test_without_the_unit_the_failure_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nightly_diagnosis, "START_MAX_S", 0.1)
-    with pytest.raises(NoUnit, match=r"greenhouse-diagnosis\.path is not active"):
+    with pytest.raises(BackgroundFailure, match=r"greenhouse-diagnosis\.path is not active"):
         ask(tmp_path / "requests", ["twin"], tmp_path / "log.txt", 1.0, lambda: False)
     assert not (tmp_path / "requests").exists()  # no request is left for a unit that is enabled later
 
@@ -427,7 +427,7 @@ def test_the_command_ends_with_the_daemon(tmp_path: Path, way: str) -> None:
     over = threading.Event()
 
     def daemon() -> None:
-        with pytest.raises(NoUnit):
+        with pytest.raises(BackgroundFailure):
             ask(folder, ["twin"], tmp_path / "log.txt", 60.0, over.is_set)
 
     thread = threading.Thread(target=daemon)
