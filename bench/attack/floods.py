@@ -1,7 +1,12 @@
 """Floods at every door while a stop is sent: python -m bench.attack.floods --seed S --count N.
 
-A daemon, a board in real time and a broker are processes of their own, as on a rig; so is the one who floods.
-An emergency stop or maintenance must have every pin off within OBEYED_S, whichever door it comes through.
+Two rigs (daemon and board in real time), a page, a broker and the flooder are separate processes. Each
+flood goes to the first rig. An emergency stop or maintenance must switch every pin off within OBEYED_S,
+whichever door it comes through.
+
+`greenhouse emergency-stop` must do so at both rigs, name both, and exit with 0. Its time begins when its
+loaded process is released: parsing, the search for the rigs and the connections count; the start of
+Python and the imports do not.
 """
 
 import contextlib
@@ -10,12 +15,13 @@ import multiprocessing
 import random
 import signal
 import socket
+import subprocess
 import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,8 +34,9 @@ from bench.attack.part import TrialResult, main_of
 from edge.page.access import Role
 from edge.page.protocol import CONNECTIONS_MAX
 from edge.sockets.client import request
+from tests.support import separate_machine
 from tests.support.broker import Broker, Listener
-from tests.support.daemon_process import RIG, DaemonProcess
+from tests.support.daemon_process import RIG, ROOT, DaemonProcess
 from tests.support.page_process import Client, page_of
 from tests.support.virtual_board import VirtualBoard, virtual_board
 from tests.support.watched_clock import ACTUATORS
@@ -38,6 +45,8 @@ OBEYED_S = 1.0
 GIVE_UP_S = 30.0
 WARM_UP_S = 1.0  # a flood has run this long when the stop is sent
 NO_HOLD = {"fan_min_on_s": 0.0, "fan_min_off_s": 0.0}  # the fan runs again as soon as a stop is released
+NAMES = ("rig-1", "rig-2")
+COMMAND = "command line"
 CLIENTS = 40  # more than the control socket has places
 BROKER = "allow_anonymous true\nmax_queued_messages 0\nmax_inflight_messages 0"
 
@@ -188,7 +197,55 @@ WORDS: dict[str, tuple[Any, ...]] = {
         *(("/api/stop", {}), ("/api/stop", {"reason": 5}), ("/api/order", {"do": "emergency_stop", "x": 1})),
         *(("/api/order", {"do": "stop"}), ("/api/order", {"do": "ask", "words": "emergency stop"})),
     ),
+    COMMAND: ("emergency-stop",),
 }
+
+
+class _Daemon(DaemonProcess):
+    """A daemon that registers in the run folder of a machine without other rigs."""
+
+    @property
+    def command(self) -> list[str]:
+        return separate_machine.command(self.config.parent.parent, "run", "--config", str(self.config))
+
+
+@contextmanager
+def _rig(machine: Path, name: str, broker: Broker) -> Iterator[tuple[VirtualBoard, DaemonProcess]]:
+    folder = machine / name
+    folder.mkdir()
+    with (
+        virtual_board(folder, "--real-time") as board,
+        _Daemon(folder, broker.port, safety=NO_HOLD, mqtt={"rig": name}) as daemon,
+    ):
+        yield board, daemon
+
+
+class _Command:
+    """`greenhouse WORDS` as a process that has loaded its modules and waits for `go`."""
+
+    def __init__(self, machine: Path, *words: str) -> None:
+        self.output = ""
+        self._process = subprocess.Popen(
+            separate_machine.command(machine, separate_machine.WAIT, *words),
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=ROOT,
+        )  # fmt: skip
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == separate_machine.LOADED
+
+    def go(self) -> None:
+        """Run the command to its end."""
+        try:
+            self.output = self._process.communicate(b"\n", timeout=GIVE_UP_S)[0].decode()
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def violations(self) -> list[str]:
+        """Say what the command did other than report a stop of each rig."""
+        stopped = sorted(f"{name}: stopped" for name in NAMES)
+        if self._process.returncode == 0 and sorted(self.output.splitlines()) == stopped:
+            return []
+        return [f"exit code {self._process.returncode} of the command, which printed {self.output!r}"]
 
 
 def run(seed: int, count: int) -> Iterator[TrialResult]:
@@ -196,29 +253,32 @@ def run(seed: int, count: int) -> Iterator[TrialResult]:
     draw = random.Random(seed)
     trials = [(flood, door, draw.choice(WORDS[door])) for flood in FLOODS for door in WORDS]
     draw.shuffle(trials)
-    with tempfile.TemporaryDirectory(prefix="gh-flood-") as name:
-        folder = Path(name)
-        with (
-            Broker(folder, BROKER) as broker,
-            virtual_board(folder, "--real-time") as board,
-            DaemonProcess(folder, broker.port, safety=NO_HOLD) as daemon,
-            Listener(broker.port, f"{RIG}/nothing") as sender,
-            page_of(folder) as page,
-        ):
-            for flood, door, words in itertools.islice(itertools.cycle(trials), count):
-                name = f"{flood}, {words!r} by {door}"
-                if not _heat(board, daemon):
-                    yield TrialResult(
-                        name, 1, ["heater and light are not on after the release of the stop before"]
-                    )
-                    continue
-                send = partial(_send, door, words, daemon.socket, sender, page.client(Role.VIEW))
-                flooder = partial(FLOODS[flood], daemon.socket, broker.port, page.port)
-                took_s = stopped_after(flooder, send, board)
-                yield TrialResult(name, 1, _slow(took_s, daemon))
+    with ExitStack() as stack:
+        machine = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gh-flood-")))
+        broker = stack.enter_context(Broker(machine, BROKER))
+        rigs = [stack.enter_context(_rig(machine, name, broker)) for name in NAMES]
+        daemon = rigs[0][1]
+        sender = stack.enter_context(Listener(broker.port, f"{RIG}/nothing"))
+        page = stack.enter_context(page_of(machine / NAMES[0]))
+        for flood, door, words in itertools.islice(itertools.cycle(trials), count):
+            name = f"{flood}, {words!r} by {door}"
+            reached = rigs if door == COMMAND else rigs[:1]
+            if not all(_heat(*rig) for rig in reached):
+                yield TrialResult(
+                    name, 1, ["heater and light are not on after the release of the stop before"]
+                )
+                continue
+            flooder = partial(FLOODS[flood], daemon.socket, broker.port, page.port)
+            command = _Command(machine, words) if door == COMMAND else None
+            send = partial(_send, door, words, daemon.socket, sender, page.client(Role.VIEW))
+            took_s = stopped_after(flooder, command.go if command else send, [board for board, _ in reached])
+            found = [text for _, each in reached for text in _early_end(each)] or _slow(took_s)
+            yield TrialResult(name, 1, [*found, *(command.violations() if command else ())])
 
 
-def stopped_after(flood: Callable[[], None], send: Callable[[], None], board: VirtualBoard) -> float:
+def stopped_after(
+    flood: Callable[[], None], send: Callable[[], None], boards: Sequence[VirtualBoard]
+) -> float:
     """Time from the sending of a stop until every pin is off [s]; GIVE_UP_S where that did not come."""
     flooder = multiprocessing.get_context("fork").Process(target=flood, daemon=True)
     flooder.start()
@@ -228,7 +288,7 @@ def stopped_after(flood: Callable[[], None], send: Callable[[], None], board: Vi
         # What counts is when the pins are off, not the answer.
         asking = threading.Thread(target=send, daemon=True)
         asking.start()
-        while _pins_on(board) and time.monotonic() - begin < GIVE_UP_S:
+        while any(map(_pins_on, boards)) and time.monotonic() - begin < GIVE_UP_S:
             time.sleep(0.01)
         took_s = time.monotonic() - begin
         asking.join(GIVE_UP_S)
@@ -278,10 +338,11 @@ def _pins_on(board: VirtualBoard) -> list[str]:
     return [name for name in ACTUATORS if pins[name]]
 
 
-def _slow(took_s: float, daemon: DaemonProcess) -> list[str]:
-    assert daemon.process is not None
-    if daemon.process.poll() is not None:
-        return [f"the daemon has ended: {daemon.log.strip().splitlines()[-1:]}"]
+def _early_end(daemon: DaemonProcess) -> list[str]:
+    return [f"the daemon has ended: {daemon.log.strip().splitlines()[-1:]}"] if daemon.has_ended() else []
+
+
+def _slow(took_s: float) -> list[str]:
     return [f"every pin off after {took_s:.2f} s"] if took_s > OBEYED_S else []
 
 
