@@ -31,6 +31,7 @@ from paho.mqtt.client import Client as MqttClient
 from paho.mqtt.enums import CallbackAPIVersion
 
 from bench.attack.part import TrialResult, main_of
+from bench.kills import FAN_FREE
 from edge.page.access import Role
 from edge.page.protocol import CONNECTIONS_MAX
 from edge.sockets.client import request
@@ -44,7 +45,6 @@ from tests.support.watched_clock import ACTUATORS
 OBEYED_S = 1.0
 GIVE_UP_S = 30.0
 WARM_UP_S = 1.0  # a flood has run this long when the stop is sent
-NO_HOLD = {"fan_min_on_s": 0.0, "fan_min_off_s": 0.0}  # the fan runs again as soon as a stop is released
 NAMES = ("rig-1", "rig-2")
 COMMAND = "command line"
 CLIENTS = 40  # more than the control socket has places
@@ -215,7 +215,7 @@ def _rig(machine: Path, name: str, broker: Broker) -> Iterator[tuple[VirtualBoar
     folder.mkdir()
     with (
         virtual_board(folder, "--real-time") as board,
-        _Daemon(folder, broker.port, safety=NO_HOLD, mqtt={"rig": name}) as daemon,
+        _Daemon(folder, broker.port, safety=FAN_FREE, mqtt={"rig": name}) as daemon,
     ):
         yield board, daemon
 
