@@ -8,6 +8,7 @@ nothing but stops is empty.
 
 import ssl
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -24,6 +25,10 @@ RECONNECT_MIN_S = 1
 RECONNECT_MAX_S = 60
 TAKEN_OVER = 0x8E  # MQTT 5's reason: another client has connected with the same client id
 TAKEN_OVER_RETRY_S = 60  # two clients that evict each other spare the broker, and each is heard in turn
+TAKEN_OVER_S = 5.0 * TAKEN_OVER_RETRY_S  # without an eviction, the name is this rig's alone
+NO_REASON = 0x80  # paho's code for a connection that was closed without a DISCONNECT
+YOUNG_S = 5.0  # longest session that counts; two clients that evict each other connect again after a second
+YOUNG_SESSIONS = 3  # so many in succession are more than a broker that restarts
 LANE_MAX_S = 10  # between two tries, and between two signs of life, of a connection for stops
 CONNECT_TIMEOUT_S = 5.0
 
@@ -81,11 +86,51 @@ def tls_context(settings: MqttSettings) -> ssl.SSLContext:
     return context
 
 
-def is_taken_over(client: Client, code: ReasonCode) -> bool:
-    """Return whether another client has ended the connection by its own; then the next try has time."""
-    if code.value == TAKEN_OVER:
+class NameWatch:
+    """Recognise that another client with the same client id evicts this one.
+
+    Mosquitto 2.0.11 (Debian 12) closes a session that was taken over without a reason. There, some young
+    sessions in succession raise a suspicion; an attempt to connect that fails ends it.
+    """
+
+    def __init__(self) -> None:
+        self._begin_s: float | None = None  # of the session; None while there is none
+        self._young = 0  # sessions in succession
+        self._cause, self._evicted_s = "", float("-inf")
+
+    def cause(self, now_s: float) -> str:
+        """Return what shows that another client uses the name, "" TAKEN_OVER_S after the last eviction."""
+        return self._cause if now_s - self._evicted_s < TAKEN_OVER_S else ""
+
+    def begin(self, now_s: float) -> None:
+        """Note that the broker has accepted the connection."""
+        self._begin_s = now_s
+
+    def fail(self) -> None:
+        """Note that an attempt to connect has failed: the broker or the network is at fault."""
+        self._young = 0
+        self._evicted_s = float("-inf")
+
+    def end(self, client: Client, code: ReasonCode, now_s: float) -> None:
+        """Note the end of a session. After an eviction the client waits long before it connects again."""
+        begin_s, self._begin_s = self._begin_s, None
+        if code.value == TAKEN_OVER:
+            self._cause = "the broker reports that its session was taken over"
+        elif code.value != NO_REASON or begin_s is None:
+            self._young = 0
+            return
+        elif not self.cause(now_s):  # with slow retries the sessions last longer
+            age_s = now_s - begin_s
+            # Of two rigs one suspects first. Its slow retries then end each session of the other one.
+            is_young = age_s <= YOUNG_S or 0.0 <= age_s - TAKEN_OVER_RETRY_S <= YOUNG_S
+            self._young = self._young + 1 if is_young else 0
+            if self._young < YOUNG_SESSIONS:
+                return
+            self._cause = (
+                f"does another client use it? sessions end after {age_s:.1f} s, the broker gives no reason"
+            )
+        self._evicted_s = now_s
         client.reconnect_delay_set(TAKEN_OVER_RETRY_S, 10 * TAKEN_OVER_RETRY_S)
-    return bool(code.value == TAKEN_OVER)
 
 
 Hear = Callable[[str, bytes], None]
@@ -104,8 +149,10 @@ class Lane:
         self.is_open = False
         self._hear = hear
         self._subscriptions = [(topics.command(what), 1) for what in commands]
+        self._name = NameWatch()
         self._client = make_client(settings.mqtt, lane=commands[0])
         self._client.on_connect = self._on_connect
+        self._client.on_connect_fail = lambda *_: self._name.fail()
         self._client.on_subscribe = self._on_subscribe
         self._client.on_disconnect = self._on_disconnect
         self._client.on_message = self._on_message
@@ -117,6 +164,7 @@ class Lane:
 
     def _on_connect(self, client: Client, _: object, flags: object, code: ReasonCode, more: object) -> None:
         if not code.is_failure:
+            self._name.begin(time.monotonic())
             client.reconnect_delay_set(RECONNECT_MIN_S, LANE_MAX_S)
             client.subscribe(self._subscriptions)
 
@@ -127,7 +175,7 @@ class Lane:
 
     def _on_disconnect(self, client: Client, _: object, flags: object, code: ReasonCode, more: Any) -> None:
         self.is_open = False
-        is_taken_over(client, code)
+        self._name.end(client, code, time.monotonic())
 
     def _on_message(self, client: Client, _: object, message: MQTTMessage) -> None:
         if not message.retain:  # an old order, from before this connection, must not act

@@ -25,7 +25,7 @@ from edge.core.plain_text import plain
 from edge.formats.tick_json import event_json
 from edge.mqtt import connection, discovery, states
 from edge.mqtt.commands import ON, STOP, WORDED, is_stop, is_stop_in_words, parse
-from edge.mqtt.connection import Lane, end, is_taken_over, make_client
+from edge.mqtt.connection import Lane, NameWatch, end, make_client
 from edge.mqtt.drain import BATCH_ROWS, Drain, MessageQueue
 from edge.mqtt.topics import Topics
 from edge.tick.status import LoopStatus, reply_json, status_json
@@ -38,7 +38,6 @@ COMMANDS_WAITING_MAX = 32
 COMMANDS_PER_S = 8.0  # at length; a person's automation sends far fewer
 REFUSAL_PAUSE_S = 0.001  # so a flood of 1000/s costs a tenth of a core, and the broker holds the rest
 FLOOD_OVER_S = 10.0  # after the last refusal
-TAKEN_OVER_S = 5.0 * connection.TAKEN_OVER_RETRY_S  # without an eviction, the name is this rig's alone
 STOP_REPEATED_S = 10.0  # a stop that the main connection hears so long after its lane is the same one
 STOP_APART_S = 0.3  # between the arrivals of one stop by both connections
 # A release in the order in which it was given; and orders in which a person may say "stop".
@@ -76,7 +75,7 @@ class Telemetry:
         self._topics = Topics.of(settings.mqtt)
         self._offline = f"not connected to {settings.mqtt.host}:{settings.mqtt.port} yet"
         self._fault = ""
-        self._taken_over_s = float("-inf")
+        self._name = NameWatch()
         self._ticks_late = 0
         self._ticks_skipped = 0
         self._status: LoopStatus | None = None  # the newest, with a tick
@@ -139,8 +138,8 @@ class Telemetry:
         refusal = self._drain.refusal if self._drain else ""
         detail = self._offline or self._fault or (refusal and f"the broker refuses: {refusal}")
         faults = {"telemetry.offline": detail} if detail else {}
-        if time.monotonic() - self._taken_over_s < TAKEN_OVER_S:  # in place of an offline that comes and goes
-            faults = {"telemetry.name_taken": f"the name is {self._settings.mqtt.rig}"}
+        if cause := self._name.cause(time.monotonic()):  # in place of an offline that comes and goes
+            faults = {"telemetry.name_taken": f"the name is {self._settings.mqtt.rig}; {cause}"}
         if time.monotonic() - self._allowance.refused_s < FLOOD_OVER_S:
             faults["telemetry.flooded"] = f"{self._allowance.refused} refused so far"
         return faults
@@ -173,6 +172,7 @@ class Telemetry:
         if code.is_failure:
             self._offline = f"the broker refuses the connection: {code}"
             return
+        self._name.begin(time.monotonic())
         client.reconnect_delay_set(connection.RECONNECT_MIN_S, connection.RECONNECT_MAX_S)
         self._receive_maximum = getattr(properties, "ReceiveMaximum", BATCH_ROWS)
         client.subscribe([(self._topics.command("+"), 1), (self._topics.home_assistant_status, 1)])
@@ -182,13 +182,13 @@ class Telemetry:
         self._wake.set()
 
     def _on_connect_fail(self, client: Client, _: object) -> None:
+        self._name.fail()
         self._offline = f"{self._settings.mqtt.host}:{self._settings.mqtt.port} can't be reached"
 
     def _on_disconnect(
         self, client: Client, _: object, flags: object, code: ReasonCode, properties: Properties | None
     ) -> None:
-        if is_taken_over(client, code):
-            self._taken_over_s = time.monotonic()
+        self._name.end(client, code, time.monotonic())
         self._offline = self._offline or f"disconnected: {code}"
 
     def _on_publish(

@@ -116,7 +116,7 @@ _ROWS = (
     Failure(
         "telemetry.name_taken",
         Severity.ALARM,
-        "another client uses the name of this rig and evicts it from the broker",
+        "another client uses the name of this rig and evicts it from the broker, or seems to",
         "it connects again after a minute, the control socket works; give each rig its own mqtt.rig",
     ),
     Failure(
