@@ -55,19 +55,22 @@ def _calls() -> Any:
 
 
 def open_database(path: str | Path, how: str = "", **options: Any) -> sqlite3.Connection:
-    """Open an SQLite file, and the log next to it, `as_owner`. Errors: sqlite3.Error, OSError
+    """Open an SQLite file, and the log next to it, `as_owner`. Errors: sqlite3.Error
 
     how : parameters of SQLite's URI, such as mode=ro
     options : of `sqlite3.connect`
     """
     place = f"{Path(path).absolute().as_uri()}?{how}" if how else str(path)
-    with as_owner(path) as is_other:
-        for file in (Path(f"{path}{ending}") for ending in ("", *COMPANIONS)):
-            if file.exists() and not file.is_file():  # SQLite would wait for a FIFO without end
-                raise sqlite3.OperationalError(f"{file} is not a regular file")
-        connection: sqlite3.Connection = sqlite3.connect(place, uri=bool(how), **options)
-        if is_other:
-            connection.execute("PRAGMA schema_version")  # else the log is opened later, with root's rights
+    try:
+        with as_owner(path) as is_other:
+            for file in (Path(f"{path}{ending}") for ending in ("", *COMPANIONS)):
+                if file.exists() and not file.is_file():  # SQLite would wait for a FIFO without end
+                    raise sqlite3.OperationalError(f"{file} is not a regular file")
+            connection: sqlite3.Connection = sqlite3.connect(place, uri=bool(how), **options)
+            if is_other:  # else the log is opened later, with root's rights
+                connection.execute("PRAGMA schema_version")
+    except OSError as error:  # of a folder on the way, where callers expect SQLite's errors
+        raise sqlite3.OperationalError(f"{error.strerror}: {error.filename}") from error
     return connection
 
 

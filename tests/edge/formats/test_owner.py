@@ -103,12 +103,22 @@ def test_links_of_roots_own_lead_on(theirs: Path, tmp_path: Path) -> None:
         assert not is_other
 
 
+@pytest.mark.parametrize("how", ["", "mode=ro"])
+def test_a_database_behind_a_link_to_itself_is_an_error_of_sqlite(tmp_path: Path, how: str) -> None:
+    (tmp_path / "file").symlink_to(tmp_path / "file")
+    # Found by `python -m bench attack files`: `greenhouse why --history` as root ended in a traceback.
+    with pytest.raises(sqlite3.OperationalError, match=r"symbolic links|unable to open"):
+        open_database(tmp_path / "file", how)
+
+
 @needs_root
 def test_a_folder_that_others_can_write_to_is_refused(tmp_path: Path) -> None:
     (tmp_path / "open").mkdir()
     for mode, group in ((0o777, 0), (0o775, USER)):
         (tmp_path / "open").chmod(mode)
         os.chown(tmp_path / "open", 0, group)
+        with pytest.raises(sqlite3.OperationalError, match="chmod go-w"):
+            open_database(tmp_path / "open" / "file")
         with pytest.raises(PermissionError, match="chmod go-w"), as_owner(tmp_path / "open" / "file"):
             pass
     (tmp_path / "open").chmod(0o1777)  # as /tmp
