@@ -45,7 +45,7 @@ _IN_ETC = (CONFIG, "board.yaml", "twin.yaml", "credentials", "page-credentials",
 SECRETS = ("credentials", "page-credentials", "signing.key", PAGE)
 SMALL_PARTS = (*_IN_ETC, STATE)
 _LOOSE = stat.S_IRWXG | stat.S_IRWXO
-UNPACKED_TIMES = 20  # of the backup's own size; a history of numbers is packed to a quarter
+UNPACKED_TIMES = 20  # of the backup's size; a history of numbers is packed to a quarter
 _NAME = re.compile(r"[\w.+-]+(/[\w.+-]+)*", re.ASCII)
 _CHUNK = 1 << 20
 
@@ -220,13 +220,12 @@ def restore(
 ) -> Iterator[str]:
     """Put everything of a backup in its place; yield a line for each.
 
-    The places are the package's own, and those that a configuration at `config` names; the one in the backup
-    decides only where it agrees. What stands there already is refused, or stays next to it under another name
-    with `replaces`.
+    The places are those of the package and of a configuration at `config`; the configuration in the backup
+    decides only if it agrees. Existing files are refused; with `replaces` they stay under another name.
 
     agrees : sees every place with its size; nothing is written where it returns False
     Errors : DataError for a damaged file or another place, RequestError while the daemon runs or where
-        `agrees` says no: nothing is written then
+        `agrees` returns False: nothing is written then
     """
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     above = next(folder for folder in config.absolute().parents if folder.is_dir())

@@ -62,7 +62,7 @@ def bounds_of(box: BoxSettings) -> BoxBounds:
     except DataError as error:
         raise ConfigError(f"box.twin: {error}") from error
     if box.heater_w not in (0.0, bounds.heater_w):
-        raise ConfigError(f"box.heater_w: {box.heater_w:g} W, but {box.twin} says {bounds.heater_w:g} W")
+        raise ConfigError(f"box.heater_w: {box.heater_w:g} W, but {box.twin} has {bounds.heater_w:g} W")
     return bounds
 
 

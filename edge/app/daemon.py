@@ -237,7 +237,7 @@ class Daemon:
         """Refuse a second daemon that would share a file, whatever its socket is. Errors: ConfigError"""
         try:
             self._stack.enter_context(hold_lock(Path(f"{os.path.realpath(path)}.lock"), wait=False))
-        except DataError as error:  # a disk that refuses the lock is no reason to end control
+        except DataError as error:  # a disk that refuses the lock must not end control
             if isinstance(error.__cause__, BlockingIOError):
                 raise ConfigError(f"{key}: {path}: another daemon uses this file") from None
 

@@ -86,8 +86,8 @@ class Routes:
 def resend(settings: Settings, span: Resend) -> Reply:
     """Queue recorded ticks again, from `first_seq` to `last_seq`; the answer names them too.
 
-    "queued" counts the messages of this span that wait now, also those of an earlier request. A subscriber
-    that hears all answers of a rig tells by the numbers which request was answered. Errors: RequestError
+    "queued" counts the messages of this span that wait now, also those of an earlier request. A
+    subscriber finds the answer to its request by the numbers. Errors: RequestError
     """
     outbox = outbox_of(settings)
     try:

@@ -271,7 +271,7 @@ def settings_of(before: Settings, answers: SetupAnswers, report_period_s: float,
 
 
 def rig_name(before: Settings) -> str:
-    """Return the name of a rig; a new one has the host's, with a mark that tells clones of a host apart."""
+    """Return the name of a rig: a new rig gets the host's, with a mark that differs between clones."""
     if before.mqtt != MqttSettings() or os.access(before.state_file, os.F_OK):
         return before.mqtt.rig
     host = re.sub("[^a-zA-Z0-9_-]+", "-", gethostname().partition(".")[0]).strip("-")[:50] or "rig"

@@ -24,7 +24,7 @@ from firmware_protocol.board_block import (
 
 BOARDS = {"mega2560": BoardKind.MEGA2560, "uno": BoardKind.UNO}
 ID_MAX = 2**63 - 1
-EXAMPLE_ID = 1  # of deploy/board.example.yaml: no board's own
+EXAMPLE_ID = 1  # of deploy/board.example.yaml, not of a board
 LUX_STEP = 10.0  # of full light in the block
 KEYS = {  # keys that a part must have; those of a part's own and no others may stand beside part and place
     Part.SHT3X: ("address",),

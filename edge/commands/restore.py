@@ -35,6 +35,6 @@ def ask(places: list[str]) -> bool:
     """Show what would be written, and return whether the person at the terminal wants it."""
     print("This would be written:", *places, sep="\n  ")
     if not sys.stdin.isatty():
-        print("nobody is at a terminal to agree: --yes does it without a question", file=sys.stderr)
+        print("there is no terminal to confirm at: --yes restores without a question", file=sys.stderr)
         return False
     return input("Write it? [y/N] ").strip().lower() in ("y", "yes")

@@ -471,7 +471,7 @@ class BoxSettings(Section):
     )
     heater_w: float = number(
         0.0,
-        "power of the heater at full duty; 0: what the twin file says, and no heat without one",
+        "power of the heater at full duty; 0: that of the twin file, and no heat without one",
         "W",
         0.0,
         1e4,

@@ -20,7 +20,7 @@ ROUNDING = 0.5 / HEATER_LEVELS + 1e-9  # of the duty: no saturation
 
 
 class Pid:
-    """`PID`. It never sees ahead: what it knows of the past is its integral.
+    """`PID`. PID uses no forecast, and of the past only its integral.
 
     The derivative acts on the measurement, filtered, so that neither a step of the reference nor noise kicks.
     The integral follows the duty that was really sent (back-calculation), whoever cut the output: full heat,

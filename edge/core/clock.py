@@ -55,7 +55,7 @@ class Moment:
     utc: float
 
     def elapsed_s(self, now: "Moment") -> float:
-        """Return the time since then; after another boot only the wall clock tells, never less than 0."""
+        """Return the time since then, at least 0; after a reboot only the wall clock measures it."""
         is_same_boot = self.boot_id == now.boot_id != ""
         return now.time_s - self.time_s if is_same_boot else max(0.0, now.utc - self.utc)
 

@@ -9,14 +9,14 @@ _STOP_KEYS = {"ask": ("words",), "set_mode": ("mode",)}  # where else a person m
 
 
 def asks_to_stop(text: object) -> bool:
-    """Return whether a text says no more than to stop: "stop", "Emergency Stop!", "e-stop"."""
+    """Return whether a text asks for a stop and nothing else: "stop", "Emergency Stop!", "e-stop"."""
     return isinstance(text, str) and re.sub("[^a-z]", "", text.lower()) in _STOP_WORDS
 
 
 def as_stop(request: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return an emergency stop for a request that asks for one in any wording, else the request itself.
 
-    A stop has no keys but its author, so further ones are no reason to refuse it.
+    Further keys do not make a stop invalid: only its author counts.
     """
     if any(asks_to_stop(request.get(key)) for key in _STOP_KEYS.get(str(request.get("do")), ("do",))):
         return {key: request[key] for key in ("by",) if key in request} | {"do": "emergency_stop"}

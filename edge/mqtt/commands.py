@@ -125,7 +125,7 @@ def is_stop(payload: bytes) -> bool:
 
 
 def is_stop_in_words(what: str, payload: bytes) -> bool:
-    """Return whether a payload on another topic says no more than to stop."""
+    """Return whether a payload on another topic asks for a stop and nothing else."""
     is_short = what in WORDED and len(payload) <= WORDS_MAX
     return is_short and asks_to_stop(payload.decode(errors="replace"))
 

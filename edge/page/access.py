@@ -54,7 +54,7 @@ ROLES = {role.word: role for role in Role}
 
 @dataclass(frozen=True, slots=True)
 class Visitor:
-    """Who has a session. name : as it stands beside their orders in the history; link : 0 without one"""
+    """Who has a session. name : as the history shows it next to their orders; link : 0 without one"""
 
     session: int
     name: str

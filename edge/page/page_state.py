@@ -45,7 +45,7 @@ class Streams(list[Stream]):
         if len(self) >= STREAMS_MAX:
             counts = Counter(each.owner for each in self)
             owner = max(counts, key=lambda each: (counts[each], each == begun.owner))
-            if counts[owner] == 1 and owner != begun.owner:  # nobody has two
+            if counts[owner] == 1 and owner != begun.owner:  # no one has two
                 raise NotAllowed(HTTPStatus.SERVICE_UNAVAILABLE, f"{STREAMS_MAX} viewers look already")
             self.end(next(each for each in self if each.owner == owner))
         self.append(begun)

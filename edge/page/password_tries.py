@@ -1,7 +1,7 @@
 """Limits of how often a password may be tried, and of how many are checked at once.
 
-Names that nobody has cost a person with the right password neither tries nor time: both kinds of name have
-places of their own. An answer tells neither by its words nor by its time which kind a name is.
+Attempts with invented names cost a person with the right password neither tries nor time: the two kinds of
+name have separate places. Neither the words nor the time of an answer reveal whether a name exists.
 """
 
 import time
@@ -39,7 +39,7 @@ class PasswordTries:
             raise NotAllowed(HTTPStatus.TOO_MANY_REQUESTS, f"too many tries: wait {TRY_EVERY_S:g} s")
 
     async def pretend(self) -> None:
-        """Take the time of a check, and nothing else, for a name that nobody has."""
+        """Take the time of a check, and nothing else, for a name that does not exist."""
         if self.check_s is None:
             await self.check(is_password, "", *NOBODY)
         else:

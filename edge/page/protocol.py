@@ -1,7 +1,7 @@
 """HTTP/1.1 that keeps no place for who only holds it: slow requests, unread answers, too many connections.
 
-A connection takes 20 to 130 kB while it waits, over https 256 kB more by asyncio's own choice. Where all
-places are taken, a new connection gets that of the longest silent one, first of the address that has most.
+A connection takes 20 to 130 kB while it waits, over https 256 kB more by asyncio's choice. If all
+places are in use, a new connection replaces the one silent longest, first of the address that has most.
 """
 
 import asyncio
@@ -86,7 +86,7 @@ class ImpatientProtocol(H11Protocol):
 
     def _make_room(self) -> None:
         for gone in [one for one in self._all if one.line is not None and one.line.is_closing()]:
-            del self._all[gone]  # its handshake has failed, so nothing else says that it is lost
+            del self._all[gone]  # its handshake has failed, so nothing else reports its loss
         if len(self._all) < CONNECTIONS_MAX:
             return
         shares = Counter(one.address for one in self._all)
@@ -117,7 +117,7 @@ class ImpatientProtocol(H11Protocol):
 
 
 def _network(address: str) -> str:
-    """Return what counts as one client: an address, or a network of IPv6; "" for what is no address."""
+    """Return what counts as one client: an address, or a network of IPv6; "" for an invalid address."""
     try:
         found = ipaddress.ip_address(address)
     except ValueError:

@@ -75,7 +75,7 @@ def supervise(
     """Return the part of `wanted` that may be sent now, why it differs, and the new memory."""
     temp_air = known_value(view, "temp_air", settings.reading_age_max_s)
     memory = book_heat(memory, view.now_s, view.dt_s, view.box.heater_w)
-    # Hands are inside during maintenance: an open box tells nothing of its heater.
+    # Hands are inside during maintenance: an open box gives no evidence about its heater.
     seen_c = None if view.maintenance else temp_air
     memory = replace(
         memory, rise=follow_air(memory.rise, view.now_s, view.dt_s, seen_c, memory.sent.heater_duty)

@@ -121,7 +121,7 @@ LLM_BUDGET = StoredValue(
     lambda settings, why: Spending(""),
     pause_s=60.0,  # five exchanges a step would be five writes
 )
-# A file of its own: software before it would take a state file with unknown keys for a damaged one.
+# A separate file: earlier software would treat a state file with unknown keys as damaged.
 LIMITS: StoredValue[Any] = StoredValue(
     codecs.Limits,
     "safety (water, heat, fan switches, relay proof), tick (releases, start of the reference)",

@@ -3,7 +3,7 @@
 A tick's age is counted against the smallest wall clock time among the last CLOCK_TICKS ticks, not against the
 clock of this moment: a clock that stood wrong for a while (no battery, no network yet) then deletes nothing.
 A tick dated in the future or before its neighbours has a wrong date, so its number decides: it is as old as
-the ticks around it, and none waits for it. Those of a named run are kept.
+the ticks around it, and none waits for it. Ticks of a named run are never deleted.
 """
 
 import json
@@ -75,7 +75,7 @@ def _old_ticks(connection: sqlite3.Connection, before_utc: float, now_utc: float
     first = f"ifnull(({young}), 9e18)"
     last = f"SELECT seq FROM ticks WHERE seq < {first} AND +utc < :before ORDER BY seq DESC LIMIT 1"
     rows = connection.execute(
-        f"SELECT seq FROM ticks WHERE seq > 0 AND seq <= ({last}) AND NOT EXISTS"  # named runs are kept
+        f"SELECT seq FROM ticks WHERE seq > 0 AND seq <= ({last}) AND NOT EXISTS"  # named runs stay
         " (SELECT 1 FROM runs WHERE seq BETWEEN runs.first_seq AND runs.last_seq) ORDER BY seq LIMIT :rows",
         {"before": before_utc, "now": now_utc, "rows": CHUNK_ROWS},
     )

@@ -117,7 +117,7 @@ _ROWS = (
         "telemetry.name_taken",
         Severity.ALARM,
         "another client uses the name of this rig and evicts it from the broker, or seems to",
-        "it connects again after a minute, the control socket works; give each rig its own mqtt.rig",
+        "it connects again after a minute, the control socket works; give each rig a separate mqtt.rig",
     ),
     Failure(
         "telemetry.flooded",

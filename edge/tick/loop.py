@@ -155,7 +155,7 @@ class Loop:
         self._follow_profile(now, utc)
         context = self._context(estimate, now, utc)
         decision, decide_ms = self._decider.decide(self._operation.controller, context)
-        booking = self._take_booking()  # nothing is saved without it before this tick's own dose is in
+        booking = self._take_booking()  # nothing is saved without it before the dose of this tick is in
         wanted, orders = self._apply_orders(
             self._with_light_and_water(decision.command, readings, now, utc), utc
         )
@@ -491,7 +491,7 @@ class Loop:
         warning = self._order_board(request)
         changed, message = order_words(request["do"], before, after, clock.utc())
         if not changed and of_board == ENDED_BY.get(request["do"]) and not request.get("minutes"):
-            changed, message = True, f"The board's own {of_board.replace('_', ' ')} is over."
+            changed, message = True, f"The board's {of_board.replace('_', ' ')} is over."
         said = self._answer_keys(changed, message, warning, request)
         self._follow_calibration(before)
         if acts_at_once(before, self._operation):

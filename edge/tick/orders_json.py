@@ -23,7 +23,7 @@ def to_dict(operation: Operation) -> dict[str, Any]:
         **asdict(operation),
         "mode": operation.mode.value,
         "fan_mode": operation.fan_mode.value,
-        # A person's fan is on or off, and earlier software knows no share.
+        # A person's fan is on or off, and earlier software does not support shares.
         "manual": {key: value for key, value in asdict(operation.manual).items() if key != "fan_share"},
     }
     profile, points, calibrations = (values.pop(key) for key in ("profile", "points", "calibrations"))

@@ -29,7 +29,7 @@ class Reference:
 
     @property
     def sha256(self) -> str:
-        """Return what tells this reference from another one."""
+        """Return the hash that identifies this reference."""
         content = self.times_s.tobytes() + self.values_c.tobytes() + bytes([self.daily, self.linear])
         return hashlib.sha256(content).hexdigest()
 

@@ -208,4 +208,4 @@ class Rig:
     accept_board: Callable[[], bool] = lambda: False  # drive that board from now on; False where none answers
     drift: DriftWatch | None = None  # watches the running twin
     box: BoxBounds = PAPER_BOX
-    clocks: Moment | None = None  # what they show together if nobody has set one since the process before
+    clocks: Moment | None = None  # a joint reading, unless someone has set one since the previous process

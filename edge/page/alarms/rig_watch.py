@@ -120,7 +120,7 @@ def _stop(view: Mapping[str, Any], status: Mapping[str, Any] | None) -> Finding:
 
 
 def _board(status: Mapping[str, Any]) -> Iterator[Finding]:
-    silent = not status["link_up"] and not status.get("foreign_board")  # that one has an event of its own
+    silent = not status["link_up"] and not status.get("foreign_board")  # a foreign board has a separate event
     yield Finding(BOARD, silent, "the board is silent; it turns its heater off by itself")
     echo = status["echo"]
     if echo is not None:

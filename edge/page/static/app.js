@@ -84,7 +84,7 @@ function Group({ name, group, children }) {
 
 // Views come by two ways and may overtake each other. After a restart of the rig's computer their clock begins anew.
 const OVERTAKEN_S = 30;
-const SAID_MS = 15000; // an answer is true of its moment; after it the view says what holds
+const SAID_MS = 15000; // an answer describes its moment; afterwards only the view is current
 const newer = (found) => (held) => {
   const ahead = held == null ? 0 : held.at_s - found.at_s;
   return ahead > 0 && ahead < OVERTAKEN_S ? held : found;

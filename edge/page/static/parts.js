@@ -72,7 +72,7 @@ export function troubles(view, lost) {
   }
   if (view?.reached && status) {
     if (status.foreign_board) found.push(["alarm", `Another board is at the port and not driven: ${status.foreign_board}. If it is the right one: greenhouse board accept.`]);
-    else if (!status.link_up) found.push(["alarm", "The board is silent. It turns its heater off by itself; nobody can say what it does now."]);
+    else if (!status.link_up) found.push(["alarm", "The board is silent. It turns its heater off by itself; its present state is unknown."]);
     const asked = { emergency_stop: operation.emergency_stop, maintenance: operation.maintenance_until_utc };
     if (status.echo?.tripped && !asked[status.echo.trip_cause]) found.push(["alarm", `The board has tripped: ${status.echo.trip_cause}.`]);
     for (const trip of status.trips) found.push(["alarm", `Tripped: ${trip}.`]);

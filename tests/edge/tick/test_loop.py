@@ -432,8 +432,8 @@ def test_an_order_that_changes_nothing_says_so_and_records_nothing(
 @pytest.mark.parametrize(
     ("held", "order", "message"),
     [
-        ("stopped", {"do": "release_emergency_stop"}, "The board's own emergency stop is over."),
-        ("maintained", {"do": "maintenance", "minutes": 0}, "The board's own maintenance is over."),
+        ("stopped", {"do": "release_emergency_stop"}, "The board's emergency stop is over."),
+        ("maintained", {"do": "maintenance", "minutes": 0}, "The board's maintenance is over."),
         ("tripped", {"do": "clear_trip"}, "Trips are cleared: over_temperature."),
     ],
 )
