@@ -187,7 +187,9 @@ class Daemon:
             settings=settings,
             clock=self.clock,
             board=board,
-            sensors=SensorHealth(settings.sensor_health, settings.calibration, box),
+            sensors=SensorHealth(
+                settings.sensor_health, settings.calibration, box, standing.memory.air_doubt
+            ),
             estimator=Estimator(
                 settings.estimator, models.model, settings.control.step_s, settings.control.ambient_default_c
             ),

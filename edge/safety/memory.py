@@ -21,6 +21,15 @@ RISE_FADES_S = 6 * HOUR_S  # time constant of the fastest rise: warm walls behin
 
 
 @dataclass(frozen=True, slots=True)
+class AirDoubt:
+    """A fall of the air that the box cannot have made. before_c : what the air had"""
+
+    since_s: float
+    words: str
+    before_c: float
+
+
+@dataclass(frozen=True, slots=True)
 class SafetyView:
     """The world at the moment of a decision."""
 
@@ -34,7 +43,7 @@ class SafetyView:
     utc: float
     dt_s: float  # how long the command will hold [s]
     box: BoxBounds = PAPER_BOX
-    air_doubted_since_s: float | None = None  # since when another sensor contradicts a fall of the air
+    air_doubt: AirDoubt | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +111,7 @@ class SafetyMemory:
     releases_until_s: float = 0.0  # each end of a stop moves it on; how far it may lie ahead is bounded
     thermal: ThermalMemory = field(default_factory=ThermalMemory)
     rise: AirRise = AirRise()
+    air_doubt: AirDoubt | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +167,7 @@ def remember(memory: SafetyMemory, sent: Command, ramp: float, view: SafetyView)
         fan_since_s=switched[-1] if switched else memory.fan_since_s,
         fan_switches=(*(at for at in memory.fan_switches if view.now_s - at < HOUR_S), *switched),
         doses=doses,
+        air_doubt=view.air_doubt,
     )
 
 
@@ -168,5 +179,7 @@ def _fan_switches(before: Command, sent: Command, view: SafetyView) -> tuple[flo
 
 def survives_as(memory: SafetyMemory, other: SafetyMemory) -> bool:
     """Return True where both leave the same behind for the next process, but for minutes of heat."""
-    first, second = ((m.trips, m.doses, m.heat[-1][0] if m.heat else None) for m in (memory, other))
+    first, second = (
+        (m.trips, m.doses, m.heat[-1][0] if m.heat else None, m.air_doubt) for m in (memory, other)
+    )
     return first == second

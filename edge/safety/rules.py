@@ -222,11 +222,10 @@ def duty_below_trip(
 
 def doubted_duty(s: RuleInput) -> float:
     """Heater duty while a fall of the air is contradicted: what held the air, and nothing after DOUBT_S."""
-    since_s = s.view.air_doubted_since_s
-    if since_s is None:
+    if s.view.air_doubt is None:
         return math.inf
     held = heat_wh(s.memory, s.view.now_s, HELD_OVER_S) / (s.view.box.heater_w * HELD_OVER_S / HOUR_S)
-    return held if 0.0 <= s.view.now_s - since_s < DOUBT_S else 0.0
+    return held if 0.0 <= s.view.now_s - s.view.air_doubt.since_s < DOUBT_S else 0.0
 
 
 def ramp_duty(s: RuleInput) -> float:

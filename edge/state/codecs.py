@@ -23,7 +23,7 @@ from edge.drift.monitor import DriftMemory
 from edge.forecasts.skill import ErrorPair, SkillState, Width
 from edge.formats.cross_check import Rule
 from edge.formats.reader import read
-from edge.safety.memory import DAY_S, HEAT_BUCKET_S, Dose, SafetyMemory, book_heat
+from edge.safety.memory import DAY_S, HEAT_BUCKET_S, AirDoubt, Dose, SafetyMemory, book_heat
 from edge.safety.relay_proof import RelayProof
 from edge.safety.thermal_supervision import ThermalMemory
 from edge.tick import orders_json
@@ -93,7 +93,7 @@ class Limits:
     """Use of limits so far, and how long the configured reference runs; times in seconds before `at`.
 
     doses : age, utc, length; proof : of the relay, times since the last one, with heat, with the fan
-    releases_s : how far `releases_until_s` lies ahead
+    releases_s : how far `releases_until_s` lies ahead; air_doubt : age, words, what the air had [°C]
     """
 
     at: Moment
@@ -103,12 +103,13 @@ class Limits:
     proof: tuple[Size, Size, Size]
     releases_s: Annotated[float, Rule(low=0.0, high=DAY_S)]
     reference_start: tuple[str, Size] | None
+    air_doubt: tuple[Size, str, float] | None = None
 
 
 def encode_limits(state: StandingState) -> dict[str, Any]:
     """Return `Limits`; `at` is of the save."""
     memory, at, start = state.memory, state.at, state.operation.reference_start
-    proof = memory.thermal.proof
+    proof, doubt = memory.thermal.proof, memory.air_doubt
     return {
         "at": asdict(at),
         "doses": [[max(0.0, d.age_s(at.time_s, at.utc)), d.utc, d.length_s] for d in memory.doses],
@@ -117,6 +118,7 @@ def encode_limits(state: StandingState) -> dict[str, Any]:
         "proof": [proof.since_s, proof.heated_s, proof.fanned_s],
         "releases_s": max(0.0, memory.releases_until_s - at.time_s),
         "reference_start": start and [start[0], at.time_s - start[1]],
+        "air_doubt": doubt and [max(0.0, at.time_s - doubt.since_s), doubt.words, doubt.before_c],
     }
 
 
@@ -143,6 +145,7 @@ def carry_on(state: StandingState, limits: Limits | str, now: Moment, heater_w: 
         fan_switches=(*(saved_s - age_s for age_s in limits.fan_switches), now_s, now_s),
         thermal=ThermalMemory(proof=RelayProof(*(seconds + unsaved_s for seconds in limits.proof))),
         releases_until_s=saved_s + limits.releases_s,
+        air_doubt=limits.air_doubt and AirDoubt(saved_s - limits.air_doubt[0], *limits.air_doubt[1:]),
     )
     operation = replace(state.operation, reference_start=start and (start[0], saved_s - start[1]))
     clocks = replace(now, utc=limits.at.utc + now_s - saved_s)

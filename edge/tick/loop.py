@@ -305,7 +305,7 @@ class Loop:
             utc=utc,
             dt_s=self._step_s,
             box=rig.box,
-            air_doubted_since_s=rig.sensors.air_doubt.since_s if rig.sensors.air_doubt else None,
+            air_doubt=rig.sensors.air_doubt,
         )
         verdict = supervise(wanted, view, self._memory, rig.settings.safety)
         if not survives_as(verdict.memory, self._memory):

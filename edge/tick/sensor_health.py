@@ -14,6 +14,7 @@ from edge.config.settings import CalibrationSettings, SensorCalibration, SensorH
 from edge.core.messages import Command, Reading, ReadingQuality
 from edge.core.names import SIGNALS
 from edge.safety.box_bounds import PAPER_BOX, BoxBounds
+from edge.safety.memory import AirDoubt
 from edge.safety.thermal_supervision import COLD_K
 from edge.tick.calibration import WINDOW_S, CalibrationChange, RawMinute, measurement
 from edge.tick.stillness import Stillness, is_stuck, watch
@@ -45,21 +46,17 @@ class Track:
     still_since_s: float = math.inf  # since when the raw value has been exactly the same
 
 
-@dataclass(frozen=True, slots=True)
-class AirDoubt:
-    """A fall of the air that the box cannot have made. before_c : what the air had"""
-
-    since_s: float
-    words: str
-    before_c: float
-
-
 class SensorHealth:
     """The tracks of all signals."""
 
     def __init__(
-        self, settings: SensorHealthSettings, calibration: CalibrationSettings, box: BoxBounds = PAPER_BOX
+        self,
+        settings: SensorHealthSettings,
+        calibration: CalibrationSettings,
+        box: BoxBounds = PAPER_BOX,
+        air_doubt: AirDoubt | None = None,
     ) -> None:
+        """`air_doubt`: of the process before."""
         self._settings = settings
         self._calibration = calibration
         self._box = box
@@ -71,7 +68,7 @@ class SensorHealth:
             "temp_ambient": Pace(settings.air_jump_k, ROOM_RATE_MAX_K_S),
         }
         self._still = Stillness()
-        self.air_doubt: AirDoubt | None = None  # until air and room agree, or a person accepts the value
+        self.air_doubt = air_doubt  # until air and room agree, or a person accepts the value
 
     def readings(
         self, samples: Sequence[Mapping[str, Reading]], now: float, driven: Command

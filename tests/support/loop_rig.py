@@ -220,7 +220,9 @@ class LoopRig:
             settings=self.settings,
             clock=self.clock,
             board=self.board,
-            sensors=SensorHealth(self.settings.sensor_health, self.settings.calibration),
+            sensors=SensorHealth(
+                self.settings.sensor_health, self.settings.calibration, air_doubt=state.memory.air_doubt
+            ),
             estimator=Estimator(self.settings.estimator, model, control.step_s, control.ambient_default_c),
             reference=make_reference(self.settings.reference),
             zone=None,

@@ -24,7 +24,7 @@ from edge.config.settings import SafetySettings
 from edge.core.errors import DataError, RequestError
 from edge.core.messages import Command, Reading, ReadingQuality, Severity
 from edge.safety.box_bounds import PAPER_BOX, paper_box, unknown_box
-from edge.safety.memory import DAY_S, AirRise, Dose, book_heat, heat_wh, survives_as, water_s
+from edge.safety.memory import DAY_S, AirDoubt, AirRise, Dose, book_heat, heat_wh, survives_as, water_s
 from edge.safety.relay_proof import EVERY_S, RelayProof
 from edge.safety.rules import duty_below_trip, energy_duty
 from edge.safety.supervisor import (
@@ -412,7 +412,7 @@ HELD = ((NOW - 1200.0, 5.0), (NOW - 600.0, 5.0))  # 10 Wh of the 50 Wh of half a
 def test_air_whose_fall_is_contradicted_gets_what_held_it_for_ten_minutes(since_s, heat, duty):
     verdict = judge(
         HEAT,
-        view(air=0.0, air_doubted_since_s=since_s),
+        view(air=0.0, air_doubt=None if since_s is None else AirDoubt(since_s, "", 21.0)),
         SafetyMemory(heat=heat),
         heater_rise_per_s=1.0,
         energy_hour_max_wh=400.0,

@@ -14,7 +14,7 @@ from edge.config import loading as config
 from edge.config.settings import RampReference, ReferenceSettings, Settings, WateringSettings
 from edge.core.clock import RealClock
 from edge.core.messages import Command
-from edge.safety.memory import SafetyMemory
+from edge.safety.memory import AirDoubt, SafetyMemory
 from edge.safety.relay_proof import RelayProof
 from edge.safety.thermal_supervision import ThermalMemory
 from edge.state.codecs import StandingState, encode_limits
@@ -306,6 +306,23 @@ def test_kills_give_no_further_releases(rig: LoopRig, monkeypatch: pytest.Monkey
 # the file
 
 SOUND = json.dumps(encode_limits(StandingState(Operation("MPC"), SafetyMemory())))
+
+
+def test_a_kill_ends_no_doubt_of_the_air(rig: LoopRig) -> None:
+    rig.tick()
+    rig.rig.sensors.air_doubt = AirDoubt(rig.clock.now_s, "from 38.0 to 0.0 °C", 38.0)
+    rig.board.temp_air = 0.0
+    rig.tick()
+    since_s = rig.clock.now_s - 60.0
+    rig.kill()
+    assert rig.rig.sensors.air_doubt == AirDoubt(since_s, "from 38.0 to 0.0 °C", 38.0)
+    rig.tick()
+    assert rig.sink.records[-1].sent.heater_duty == 0.0
+    rig.board.temp_air = 38.0
+    for _ in range(10):
+        rig.tick(1.0)
+    rig.kill()
+    assert rig.rig.sensors.air_doubt is None
 
 
 def test_limits_are_read_as_they_were_written(rig: LoopRig) -> None:
