@@ -61,7 +61,7 @@ def _measured_answers(folder: Path) -> Iterator[tuple[dict[str, Any], list[bool]
     """Yield the answers about logs with known contents."""
     for log in LOGS:
         path = folder / "answers" / folder_name(log) / "diagnosis.json"
-        if path.exists():
+        if log.main and path.exists():
             document = json.loads(path.read_text(encoding="utf-8"))
             yield document, [is_true(log, item["name"]) for item in document["effects"]]
 

@@ -1,8 +1,8 @@
 """python -m bench.real_truth: the diagnosis on logs that other people measured, beside four simple models.
 
-A name is right where what is known of the rig says so; an impossible one is a store that could not be in the
-box or a time that the log can't show. Errors are those of free runs over what no fit saw [K]. The twin that
-is given knows volume and heater; its loss and capacity are to be fitted.
+A name is right where what is known of the rig says so, and is not judged where nothing is; an impossible one
+is a store that could not be in the box or a time that the log can't show. Errors are those of free runs over
+what no fit saw [K]. The twin that is given knows volume and heater; its loss and capacity are to be fitted.
 """
 
 import argparse
@@ -21,7 +21,8 @@ from bench.foreign.cases import ForeignLog
 from bench.foreign.make import write_text
 from bench.foreign.run_cases import LIMIT_S, OURS, SolverTask, run_all
 from bench.foreign.score import is_alike
-from bench.real_truth.logs import LOGS, Columns, RealLog, texts
+from bench.real_truth.logs import LOGS, RealLog, texts
+from bench.real_truth.readers import Columns
 from edge.core.errors import DataError
 
 TRAINS = 0.65
@@ -33,7 +34,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.real_truth", description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="logs of the folder README")
     parser.add_argument("--repositories", type=Path, default=Path("../repositories"), help="clones of others")
-    parser.add_argument("--split", choices=("dev", "scored"), default="dev")
+    parser.add_argument("--split", choices=("dev", "scored", "kept"), default="dev")
     parser.add_argument("--only", help="logs with this in their names")
     parser.add_argument("--out", type=Path, help="keep cases and answers here")
     arguments = parser.parse_args(words)
@@ -108,8 +109,9 @@ def is_true(log: RealLog, name: str) -> bool:
 
 
 def _lines(log: RealLog, found: Mapping[str, Any], run: Mapping[str, Any]) -> list[str]:
+    wrong = " FALSE" if log.main else " ?"  # nobody knows what such a rig has
     names = [
-        f"{item['name']} {item['probability']:.2f}{'' if is_true(log, item['name']) else ' FALSE'}"
+        f"{item['name']} {item['probability']:.2f}{'' if is_true(log, item['name']) else wrong}"
         for item in found["effects"]
     ]
     tests = _tests(found)
@@ -131,9 +133,10 @@ def _tests(found: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _totals(found: Sequence[tuple[RealLog, Mapping[str, Any]]]) -> list[str]:
+    known = [(log, own) for log, own in found if log.main]
     sure = [
         (is_true(log, item["name"]))
-        for log, own in found
+        for log, own in known
         for item in own["effects"]
         if item["probability"] >= SURE
     ]
@@ -144,7 +147,7 @@ def _totals(found: Sequence[tuple[RealLog, Mapping[str, Any]]]) -> list[str]:
             for name in log.main
             if item["probability"] >= SURE
         )
-        for log, own in found
+        for log, own in known
     ]
     near, worse = [], []
     for _, own in found:

@@ -1,14 +1,31 @@
 """bench/real_truth: measured logs as cases, and what is said of them."""
 
+import io
 import json
 import pickle
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
-from bench.real_truth.__main__ import is_true, write
+from bench.real_truth import __main__ as real_truth
+from bench.real_truth.__main__ import folder_name, is_true, report, write
 from bench.real_truth.logs import LOGS, SHARED, texts
+from bench.real_truth.readers import (
+    dryer,
+    greenhouse,
+    hall,
+    heat_shield,
+    klipper,
+    lines,
+    plain,
+    roaster,
+    table,
+    triacs,
+)
 from bench.reliability import main
 from edge.core.errors import DataError
 from edge.formats.run_file import read_run
@@ -24,7 +41,7 @@ KIT = next(log for log in LOGS if log.name == "lab kit, energy balance")
 def test_names_are_those_of_the_library_and_a_log_is_in_one_split() -> None:
     for log in LOGS:
         assert set(log.main) | set(log.true) <= EFFECTS.keys()
-        assert log.split in ("dev", "scored")
+        assert log.split in ("dev", "scored", "kept")
         assert log.source == SHARED or len(log.commit) >= 7
     assert len({log.name for log in LOGS}) == len(LOGS)
 
@@ -69,6 +86,162 @@ def test_what_is_not_there_is_said_with_where_to_get_it(tmp_path: Path) -> None:
     other = next(log for log in LOGS if log.source != SHARED)
     with pytest.raises(DataError, match=r"no clone of https://github\.com/"):
         texts(other, tmp_path, tmp_path)
+
+
+def git(*words: str | Path) -> None:
+    subprocess.run(
+        ["git", "-c", "user.name=a", "-c", "user.email=a", *words], check=True, capture_output=True
+    )
+
+
+@pytest.mark.parametrize("kind", [["--bare"], []])
+def test_a_clone_is_found_by_its_owner_and_name(tmp_path: Path, kind: list[str]) -> None:
+    git("init", tmp_path / "first")
+    (tmp_path / "first" / "log.csv").write_text(RUN_FILE, encoding="utf-8")
+    git("-C", tmp_path / "first", "add", ".")
+    git("-C", tmp_path / "first", "commit", "-m", "a")
+    git("clone", *kind, tmp_path / "first", tmp_path / "owner+name" / "repo")
+    log = replace(KIT, source="owner/name", commit="HEAD", paths=("log.csv",))
+    assert texts(log, tmp_path, tmp_path) == [RUN_FILE]
+
+
+def answer(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Let the diagnosis say this of every case."""
+    document = {
+        "verdict": "named",
+        "effects": [{"name": name, "probability": 0.97}],
+        "gap": {"before": {"test": {"rmse_k": 2.0}}, "after": {"test": {"rmse_k": 1.0}}},
+        "left_out": {"test_k": {"constant": 3.0}},
+        "twin_after": "twin.yaml",
+        "against_adopting": [],
+    }
+
+    def run_all(tasks, jobs) -> None:
+        for task in tasks:
+            task.out.mkdir(parents=True)
+            (task.out / "diagnosis.json").write_text(json.dumps(document), encoding="utf-8")
+            (task.out / "run.json").write_text(json.dumps({"stderr": "", "cpu_s": 1.0}), encoding="utf-8")
+
+    monkeypatch.setattr(real_truth, "run_all", run_all)
+
+
+def test_a_rig_of_which_nothing_is_known_counts_for_errors_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer(monkeypatch, "evapotranspiration")
+    (tmp_path / "a.csv").write_text(RUN_FILE, encoding="utf-8")
+    log = replace(KIT, paths=("a.csv",))
+    said = report([log, replace(log, name="unknown", main=(), true=())], tmp_path, tmp_path, tmp_path)
+    assert "evapotranspiration 0.97 FALSE" in said
+    assert "unknown: named: evapotranspiration 0.97 ?" in said
+    assert "named with 0.9 or more: 0 of 1" in said
+    assert "that are false: 1 of 1" in said
+    assert "at most 1.10 of the best simple model: 2 of 2" in said
+
+
+def test_a_rig_of_which_nothing_is_known_says_nothing_of_probabilities(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for log in LOGS:
+        path = tmp_path / "answers" / folder_name(log) / "diagnosis.json"
+        path.parent.mkdir(parents=True)
+        path.write_text(json.dumps({"effects": [{"name": "heater_lag", "probability": 0.97}]}), "utf-8")
+    assert main([f"measured={tmp_path}", "--out", str(tmp_path / "diagram.png")]) == 0
+    known = sum(bool(log.main) for log in LOGS)
+    assert known < len(LOGS)
+    assert f"measured: {known} names" in capsys.readouterr().out
+
+
+def test_a_table_is_read_by_its_columns_words_and_units() -> None:
+    text = "t,a,b,on,room,sun\n1e9,20,22,False,19,0.1\n2e9,21,23,True,19,0.2\n3e9,,23,True,19,0.2\n"
+    read = table("t", "a b", "on", tick_s=1e-9, temp_ambient_c="room", solar_w_m2="sun*1000")
+    columns = read(text)
+    assert columns["time_s"].tolist() == [0.0, 1.0]  # the row without a temperature is left out
+    assert columns["temp_air_c"].tolist() == [21.0, 22.0]
+    assert columns["heater_duty"].tolist() == [0.0, 1.0]
+    assert columns["solar_w_m2"].tolist() == [100.0, 200.0]
+    dated = table("t", "a", "p", full=2.0)("t,a,p\n2025-03-30 01:00:00,20,1\n2025-03-30 04:00:00,21,3\n")
+    assert dated["time_s"].tolist() == [0.0, 10_800.0]
+    assert dated["heater_duty"].tolist() == [0.5, 1.0]
+
+
+def test_rows_left_out_leave_the_heat_they_brought() -> None:
+    text = "head\n0 20 0\n1 21 255\n1 21 0\n2 22 255\n3 23 255\n"  # time 1 twice: the later row holds
+    columns = plain("time_s temp_air_c heater_duty", heads=1, full=255.0, every=2)(text)
+    assert columns["time_s"].tolist() == [0.0, 2.0]
+    assert columns["temp_air_c"].tolist() == [20.0, 22.0]
+    assert columns["heater_duty"].tolist() == [0.0, 1.0]
+
+
+def test_a_printer_is_read_where_its_log_is_longest_without_a_break() -> None:
+    told = (
+        "Stats {}: gcodein=0 heater_bed: target=60 temp=5{}.0 pwm=0.5 extruder: target=0 temp=24.8 pwm=0.0\n"
+    )
+    text = "".join(told.format(time, k) for k, time in enumerate((1.0, 2.0, 90.0, 91.0, 92.0, 3.0)))
+    columns = klipper("heater_bed", 1)(text)
+    assert columns["time_s"].tolist() == [0.0, 1.0, 2.0]
+    assert columns["temp_air_c"].tolist() == [52.0, 53.0, 54.0]
+    assert columns["heater_duty"].tolist() == [0.5] * 3
+
+
+def test_ovens_and_roasters_tell_what_holds() -> None:
+    said = [(0, 257, 2000), (500, 769, 100), (1000, 257, 2100), (1500, 770, 50), (2000, 257, 2200)]
+    columns = triacs("".join(json.dumps({"t": t, "cmd": cmd, "arg": arg}) + "\n" for t, cmd, arg in said))
+    assert columns["time_s"].tolist() == [0.0, 1.0, 2.0]
+    assert columns["temp_air_c"].tolist() == [20.0, 21.0, 22.0]
+    assert columns["heater_duty"].tolist() == [0.0, 0.5, 0.75]
+    roast = {
+        "timex": [0.0, 1.5, 3.0, 4.5],
+        "temp2": [100.0, -1.0, 101.0, 102.0],
+        "specialevents": [0, 0, 3],
+        "specialeventstype": [3, 0, 3],
+        "specialeventsvalue": [6.0, 11.0, 11.0],
+    }
+    columns = roaster(repr(roast))
+    assert columns["time_s"].tolist() == [0.0, 3.0, 4.5]
+    assert columns["heater_duty"].tolist() == [0.5, 0.5, 1.0]
+    console = lines(r"Time: ([\d.]+) s, Temp: ([\d.]+) C", "time_s heater_duty", 100.0)
+    assert console("boot\nTime: 1.0 s, Temp: 40 C\n")["heater_duty"].tolist() == [0.4]
+
+
+def matlab(**content: object) -> str:
+    place = io.BytesIO()
+    savemat(place, content)
+    return place.getvalue().decode("utf-8", "surrogateescape")
+
+
+def test_what_matlab_stored_is_read() -> None:
+    shield = heat_shield(
+        matlab(resultID=np.array([[20.0, 0.0], [20.5, 100.0], [21.0, 100.0], [22.0, 100.0]]))
+    )
+    assert shield["time_s"].tolist() == [0.0, 4.0]
+    assert shield["heater_duty"].tolist() == [0.5, 1.0]
+    rows = np.arange(26.0).reshape(2, 13)
+    crops = greenhouse(matlab(septemberiotdatasetstestmaturecrops=rows))
+    assert crops["temp_air_c"].tolist() == [3.0, 16.0]
+    assert crops["temp_ambient_c"].tolist() == [4.0, 17.0]
+    assert crops["heater_duty"].tolist() == [11.0, 24.0]
+    own = {f"sensor_temp_{i}": np.array([[19.0], [20.0 + i], [21.0 + i]]) for i in range(1, 5)}
+    own |= {
+        "time": np.array([[737999.0], [738000.0], [738000.125]]),
+        "power": np.array([[0.0], [-2.0], [-6.0]]),
+    }
+    own |= {"weather_temp": np.zeros((3, 1)), "weather_rad": np.zeros((3, 1))}
+    heated = hall(matlab(exp=own | {"time_str": "noon"}))
+    assert heated["time_s"].tolist() == [0.0, 10_800.0]
+    assert heated["temp_air_c"].tolist() == [22.5, 23.5]
+    assert heated["heater_duty"].tolist() == [0.0, 1.0]
+
+
+def test_a_dryer_tags_its_lines() -> None:
+    columns = dryer(
+        "76\tSENSORS_HEADER\theater_heater\tsilicagel_Fan\tsilicagel_C\text_C\n"
+        "80\tSM_STATE\tregenerate\n"
+        "1031\tSENSORS_VALUES\t78\t1\t43.5\t24.9\n11031\tSENSORS_VALUES\t0\t0\t43.0\t24.9\n"
+    )
+    assert columns["time_s"].tolist() == [0.0, 10.0]
+    assert columns["heater_duty"].tolist() == [1.0, 0.0]
+    assert columns["temp_ambient_c"].tolist() == [24.9, 24.9]
 
 
 def reader(name: str):
