@@ -16,6 +16,7 @@ from pathlib import Path
 from bench.real_truth.readers import (
     HOUSE_W,
     Reader,
+    air_duct,
     dryer,
     excited_kit,
     greenhouse,
@@ -311,5 +312,13 @@ LOGS: Sequence[RealLog] = (
         ("matlab/septemberiotdatasetstestmaturecrops.mat",), greenhouse, 0.15, 60.0, 300.0, (),
         ("evapotranspiration", "solar_gain", "led_gain", "soil_mass", "fan_effectiveness"), fan="exhaust",
         note="grown crops; power a guess",
+    ),
+    RealLog(
+        "air duct", "kept", "daniw/rt-l", "930f51a",
+        tuple(
+            f"luftkanal/{name}_full.mat" for name in ("06/p_krit", "11/vorsteuerung_step", "06/pid_zn")
+        ),
+        air_duct, 1e-3, 200.0, 0.1, HEATER_LIKE, BODY_LIKE, whole=True,
+        note="air flows through it all the time; power a guess",
     ),
 )  # fmt: skip

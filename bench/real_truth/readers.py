@@ -275,6 +275,12 @@ def heat_shield(text: str) -> Columns:
     )
 
 
+def air_duct(text: str) -> Columns:
+    """Read a lab's duct, 100 rows a second, the heater's drive of 0..10 V."""
+    time_s, air, heat = (_matlab(text, name).ravel() for name in ("Zeit", "Temperatur", "Heizung"))
+    return finish({"time_s": time_s, "temp_air_c": air, "heater_duty": heat / 10.0}, every=10)
+
+
 def greenhouse(text: str) -> Columns:
     """Read Wageningen's crops under lamps: columns by the makers' order, five minutes a row."""
     rows = _matlab(text, "septemberiotdatasetstestmaturecrops").T

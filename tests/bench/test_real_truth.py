@@ -15,6 +15,7 @@ from bench.real_truth import __main__ as real_truth
 from bench.real_truth.__main__ import folder_name, is_true, report, write
 from bench.real_truth.logs import LOGS, SHARED, texts
 from bench.real_truth.readers import (
+    air_duct,
     dryer,
     greenhouse,
     hall,
@@ -216,6 +217,10 @@ def test_what_matlab_stored_is_read() -> None:
     )
     assert shield["time_s"].tolist() == [0.0, 4.0]
     assert shield["heater_duty"].tolist() == [0.5, 1.0]
+    volts = {"Heizung": 10.0 * np.eye(20)[:, :1], "Temperatur": np.full((20, 1), 21.0)}
+    duct = air_duct(matlab(Zeit=0.01 * np.arange(20.0)[:, None], **volts))
+    assert duct["time_s"] == pytest.approx([0.0, 0.1])
+    assert duct["heater_duty"].tolist() == [0.1, 0.0]
     rows = np.arange(26.0).reshape(2, 13)
     crops = greenhouse(matlab(septemberiotdatasetstestmaturecrops=rows))
     assert crops["temp_air_c"].tolist() == [3.0, 16.0]
