@@ -19,6 +19,7 @@ from bench.real_truth.readers import (
     air_duct,
     dryer,
     excited_kit,
+    fan_calibration,
     greenhouse,
     hall,
     heat_shield,
@@ -187,14 +188,15 @@ LOGS: Sequence[RealLog] = (
         125.0, 2500.0, 1800.0, BODY_LIKE, ("solar_gain", "constant_heat"),
     ),
     RealLog(
-        "electric still", "dev", "orri93/analysis", "fbe6f79", ("var/tc/standard/191123.csv",),
-        table("time", "temperature", "control", full=255.0, every=8), 0.01, 500.0, 2.0, (),
-        note="vessel and heater are described nowhere", highest_c=200.0,
+        "heater at a controller", "dev", "orri93/analysis", "fbe6f79",
+        tuple(f"var/tc/standard/{name}.csv" for name in ("191122", "191123", "200410a")),
+        table("time", "temperature", "control", full=255.0, every=8), 0.01, 500.0, 2.0, (), whole=True,
+        note="steps; what is heated is described nowhere; power a guess", highest_c=250.0,
     ),
     RealLog(
         "brew kettle", "dev", "Andy1978/Brautomat", "4767efb", ("GUI/Wasser20l.log",),
         plain("time_s usec temp_air_c set step left heater_duty", every=10), 0.1, 2000.0, 10.0, (), BODY_LIKE,
-        note="20 l of water; a volume of air that brings what it holds within the library's bounds",
+        note="20 l of water; so much air that what they hold lies within the library's bounds",
         highest_c=105.0,
     ),
     RealLog(
@@ -320,5 +322,11 @@ LOGS: Sequence[RealLog] = (
         ),
         air_duct, 1e-3, 200.0, 0.1, HEATER_LIKE, BODY_LIKE, whole=True,
         note="air flows through it all the time; power a guess",
+    ),
+    RealLog(
+        "hot end with a fan", "dev", "TehMillhouse/OnionHeater", "df6a2e7", ("heattest_200",),
+        fan_calibration, 1e-4, 40.0, 1.0, (*HEATER_LIKE, "stirred_loss"),
+        (*BODY_LIKE, "longwave_radiation"), fan="stirring", highest_c=350.0,
+        note="full heat and then none, first without its fan and then with it",
     ),
 )  # fmt: skip

@@ -216,6 +216,24 @@ def klipper(heater: str, every: int) -> Reader:
     return read
 
 
+def fan_calibration(text: str) -> Columns:
+    """Read a hot end's calibration: samples, when its heater was switched, and where a fan starts."""
+    words = [line.split() for line in text.splitlines()]
+    samples = np.array([row for row in words if row[0] not in ("pwm:", "phase")], float)
+    switched = np.array([row[1:] for row in words if row[0] == "pwm:"], float)
+    starts = next(int(row[3]) for row in words if row[:2] == ["phase", "heatup_fan"])
+    now = np.searchsorted(switched[:, 0], samples[:, 0], side="right")
+    return finish(
+        {
+            "time_s": samples[:, 0],
+            "temp_air_c": samples[:, 1],
+            "heater_duty": np.concatenate([[0.0], switched[:, 1]])[now],
+            "fan_on": np.where(np.arange(len(samples)) < starts, 0.0, 1.0),
+        },
+        every=3,
+    )
+
+
 def triacs(text: str) -> Columns:
     """Messages of a reflow oven: temperature in hundredths, percents of two elements, which hold."""
     duty = {769: 0.0, 770: 0.0}

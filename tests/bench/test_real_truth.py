@@ -17,6 +17,7 @@ from bench.real_truth.logs import LOGS, SHARED, texts
 from bench.real_truth.readers import (
     air_duct,
     dryer,
+    fan_calibration,
     greenhouse,
     hall,
     heat_shield,
@@ -236,6 +237,16 @@ def test_what_matlab_stored_is_read() -> None:
     assert heated["time_s"].tolist() == [0.0, 10_800.0]
     assert heated["temp_air_c"].tolist() == [22.5, 23.5]
     assert heated["heater_duty"].tolist() == [0.0, 1.0]
+
+
+def test_a_calibration_tells_when_heat_and_fan_came_on() -> None:
+    rows = "".join(f"{100 + 0.5 * k} {20 + k}\n" for k in range(6))
+    columns = fan_calibration(
+        f"pwm: 100.5 1.0\npwm: 101.5 0.0\n{rows}phase heatup start: 0\nphase heatup_fan start: 3"
+    )
+    assert columns["time_s"].tolist() == [0.0, 1.5]
+    assert columns["heater_duty"] == pytest.approx([2 / 3, 0.0])
+    assert columns["fan_on"].tolist() == [0.0, 1.0]
 
 
 def test_a_dryer_tags_its_lines() -> None:
