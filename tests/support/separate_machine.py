@@ -26,7 +26,8 @@ def command(folder: Path, *words: str) -> list[str]:
 def _run(folder: Path, words: list[str]) -> int:
     usual = ControlSocketSettings(str(folder / "control.sock"))
     tempfile.tempdir = str(folder)
-    running_rigs.ControlSocketSettings = which_rig.ControlSocketSettings = lambda: usual  # type: ignore[assignment,misc]
+    for module in (running_rigs, which_rig):
+        setattr(module, "ControlSocketSettings", lambda: usual)  # noqa: B010  # mypy knows no such attribute
     which_rig.RIG_CONFIG = folder / "edge.yaml.of-no-rig"
     if words[0] == WAIT:
         sys.stdout.buffer.write(LOADED)
