@@ -18,7 +18,7 @@ WAYS = {
     "write": "Path(place).write_text('')",
     "replace": "Path('any').replace(place)",
     "list": "list(Path(place).iterdir())",
-    "make": "Path(place).parent.mkdir(parents=True)",
+    "make": "Path(place).mkdir(parents=True)",
     "database": "sqlite3.connect(f'file://{place}?mode=ro', uri=True)",
     "socket": "socket.socket(socket.AF_UNIX).connect(place)",
 }

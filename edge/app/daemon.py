@@ -5,7 +5,7 @@ import secrets
 import signal
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -157,7 +157,7 @@ class Daemon:
         routes = Routes(settings, inbox, bundles, desk, self.commissioning, nightly)
         socket = ControlSocket(Path(settings.control_socket.path), routes.ask, inbox.post, stop_file)
         stack.callback(socket.close)
-        self._register()
+        unregistered = self._register()
         session = Session(__version__, config_hash(settings), models.versions(), boot)
         storage = Storage(settings.history, self.clock, session)
         first_seq = storage.open()
@@ -224,16 +224,20 @@ class Daemon:
             loop.announce("limits.unknown", f"{why}; no water for {settings.watering.soak_s / 60:g} min")
         if chosen:
             loop.announce("controller.chosen", chosen)
-        self._announce(loop, standing.operation)
+        self._announce(loop, standing.operation, unregistered)
         if self.commissioning is not None:
             self.commissioning.serve(self.stop, show_commissioning)
         return loop
 
-    def _register(self) -> None:
-        """Let commands find this rig by its name, where the machine's clock runs it."""
-        with suppress(OSError):  # a user who cannot write there: the rig runs, and orders need --socket
-            if isinstance(self.clock, RealClock) and (entry := register(self.settings)) is not None:
-                self._stack.callback(entry.unlink, missing_ok=True)
+    def _register(self) -> str:
+        """Let commands find this rig, where the machine's clock runs it; return why not, else ""."""
+        try:
+            if isinstance(self.clock, RealClock):
+                self._stack.callback(register(self.settings).unlink, missing_ok=True)
+        except OSError as error:  # a user who cannot write there: the rig runs
+            way = f"`greenhouse emergency-stop` finds it by --socket {self.settings.control_socket.path} only"
+            return f"this daemon cannot register in {error.filename}: {error.strerror}. {way}"
+        return ""
 
     def _lock(self, key: str, path: str) -> None:
         """Refuse a second daemon that would share a file, whatever its socket is. Errors: ConfigError"""
@@ -243,8 +247,10 @@ class Daemon:
             if isinstance(error.__cause__, BlockingIOError):
                 raise ConfigError(f"{key}: {path}: another daemon uses this file") from None
 
-    def _announce(self, loop: Loop, standing: Operation) -> None:
-        """Emit an event for each order that holds on and would not be expected, and for the default name."""
+    def _announce(self, loop: Loop, standing: Operation, unregistered: str) -> None:
+        """Emit an event for each order that holds on and is not expected, and for what names the rig."""
+        if unregistered:
+            loop.announce("daemon.unregistered", unregistered)
         mqtt = self.settings.mqtt
         if mqtt.enabled and mqtt.rig == MqttSettings().rig:
             text = f"this rig keeps the default name {mqtt.rig}, which no other rig at the broker may have"

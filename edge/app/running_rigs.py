@@ -121,12 +121,13 @@ class RunningRig:
     is_demo: bool = False
 
 
-def register(settings: Settings) -> Path | None:
-    """Write the entry of a daemon that listens; None where no run folder is. Errors: OSError"""
+def register(settings: Settings) -> Path:
+    """Write the entry of a daemon that listens. Errors: OSError for a folder that this user may not write"""
     socket, stops = Path(settings.control_socket.path).absolute(), settings.stop_folder.absolute()
     entry = _run_folder() / f"{sha256(bytes(socket)).hexdigest()[:16]}.rig"
     if not entry.parent.is_dir():
-        return None
+        entry.parent.mkdir(exist_ok=True)
+        entry.parent.chmod(0o755)  # whoever stops all rigs has to find this one
     write_atomically(
         entry, json.dumps({"name": settings.mqtt.rig, "socket": str(socket), "stops": str(stops)})
     )

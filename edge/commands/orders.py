@@ -15,7 +15,7 @@ from edge.app.running_rigs import RunningRig
 from edge.assistant.why.ask_history import reasons
 from edge.commands.arguments import number, whole
 from edge.commands.which_rig import add_socket, rigs_of, socket_of
-from edge.core.errors import GreenhouseError
+from edge.core.errors import GreenhouseError, RequestError
 from edge.core.hard_limits import MAINTENANCE_MAX_MIN, REFERENCE_MAX_C, REFERENCE_MIN_C
 from edge.core.plain_text import plain
 from edge.formats.owner import as_owner
@@ -32,6 +32,7 @@ ENDED_BY = {
     "maintenance": "`greenhouse maintenance 0` ends it",
 }
 
+OTHER_WAY = "say --socket PATH with the socket of a daemon that runs, or pull the heater's plug"
 STOP_MAX_S = 3.0  # after which a daemon counts as one that does not answer
 
 Json = Mapping[str, Any]
@@ -211,9 +212,14 @@ def run(arguments: argparse.Namespace) -> int:
     not_asked = ("command", "socket", "rig", "run", "json")
     values = {key: value for key, value in vars(arguments).items() if key not in not_asked}
     message = {"do": name, **values}
-    if name == "emergency_stop" and arguments.socket is None:
-        return _stop_all(rigs_of(arguments))
-    answer = request(socket_of(arguments, urgent=is_urgent(message)), message)
+    try:
+        if name == "emergency_stop" and arguments.socket is None:
+            return _stop_all(rigs_of(arguments, hint=""))
+        answer = request(socket_of(arguments, urgent=is_urgent(message)), message)
+    except RequestError as error:
+        if name != "emergency_stop":
+            raise
+        raise RequestError(f"NOTHING WAS STOPPED: {error}; {OTHER_WAY}") from None
     if name != "status" or not answer.get("ok", False):
         return print_answer(answer)
     print(json.dumps(answer, indent=1) if arguments.json else "\n".join(status_lines(answer)))

@@ -45,10 +45,12 @@ def socket_of(arguments: argparse.Namespace, urgent: bool = False) -> Path:
     return Path(rigs[0].socket)
 
 
-def rigs_of(arguments: argparse.Namespace) -> list[RunningRig]:
+def rigs_of(
+    arguments: argparse.Namespace, hint: str = "; `greenhouse demo` runs one without a rig"
+) -> list[RunningRig]:
     """Return the selected rigs; without a selection all that run, and this machine's rig even while down.
 
-    Errors : RequestError where there is none
+    Errors : RequestError where there is none, with the hint where none was named
     """
     if arguments.socket is not None:
         return [RunningRig("", str(arguments.socket))]
@@ -62,7 +64,7 @@ def rigs_of(arguments: argparse.Namespace) -> list[RunningRig]:
     if (rig.exists() or RIG_CONFIG.exists()) and all(each.socket != str(rig) for each in found):
         found.insert(0, RunningRig("", str(rig)))
     if not found:
-        raise RequestError(f"no daemon listens at {rig}; `greenhouse demo` runs one without a rig")
+        raise RequestError(f"no daemon listens at {rig}{hint}")
     return found
 
 

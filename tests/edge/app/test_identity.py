@@ -1,6 +1,7 @@
 """A daemon's identity: the board that it drives, its entry among the running rigs, files that are its own."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -116,16 +117,37 @@ def test_a_daemon_is_registered_from_its_start_to_its_end(
     run = ControlSocketSettings(str(tmp_path / "run" / "control.sock"))
     monkeypatch.setattr(running_rigs, "ControlSocketSettings", lambda: run)
     settings = settings_of(tmp_path)
-    with Daemon(settings, RealClock()):
-        assert list(running_rigs.known_rigs()) == []  # there is no run folder
-    (tmp_path / "run").mkdir()
-    with Daemon(settings, RealClock()):
-        (rig,) = running_rigs.known_rigs()
-        assert rig.socket == settings.control_socket.path and rig.name == settings.mqtt.rig
-    assert list((tmp_path / "run").iterdir()) == []
-    monkeypatch.setattr(running_rigs, "write_atomically", refuse)
-    with Daemon(settings, RealClock()):  # the folder is another user's
+    umask = os.umask(0o077)
+    for _ in ("makes the folder", "finds it"):
+        with Daemon(settings, RealClock()) as daemon:
+            (rig,) = running_rigs.known_rigs()
+            assert rig.socket == settings.control_socket.path and rig.name == settings.mqtt.rig
+            assert "daemon.unregistered" not in events_at_start(daemon)
+        assert list((tmp_path / "run").iterdir()) == []
+        os.umask(umask)
+    assert (tmp_path / "run").stat().st_mode & 0o777 == 0o755
+
+
+@pytest.mark.parametrize("part", ["the folder", "the entry"])
+def test_a_daemon_that_cannot_register_says_how_a_stop_finds_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    run = ControlSocketSettings(str(tmp_path / "run" / "control.sock"))
+    monkeypatch.setattr(running_rigs, "ControlSocketSettings", lambda: run)
+    if part == "the folder":
+        (tmp_path / "run").write_text("no folder")
+    else:
+        monkeypatch.setattr(running_rigs, "write_atomically", refuse)
+    settings = settings_of(tmp_path)
+    with Daemon(settings, RealClock()) as daemon:  # the folder is another user's
         assert list(running_rigs.known_rigs()) == []
+        said = events_at_start(daemon)["daemon.unregistered"]
+        assert str(tmp_path / "run") in said and f"--socket {settings.control_socket.path} only" in said
+
+
+def events_at_start(daemon: Daemon) -> dict[str, str]:
+    assert daemon._loop is not None
+    return {event.key: event.text for event in daemon._loop._events.take()}
 
 
 def refuse(path: Path, text: str) -> None:

@@ -214,6 +214,24 @@ def test_a_rig_that_was_killed_gets_the_stop_at_its_next_start(
     assert StopFile(machine / "north" / "stops").author() == "the command line"
 
 
+@pytest.mark.parametrize(
+    ("option", "reason"),
+    [
+        ([], "no daemon listens at {0}/rig.sock"),
+        (["--rig", "box-1"], "no rig named 'box-1' runs on this machine; running: none"),
+        (["--socket", "{0}/other.sock"], "no daemon listens at {0}/other.sock"),
+    ],
+)
+def test_a_stop_that_finds_nobody_says_first_that_nothing_was_stopped(
+    machine: Path, capsys: pytest.CaptureFixture[str], option: list[str], reason: str
+) -> None:
+    assert main(["emergency-stop", *(word.format(machine) for word in option)]) == 2
+    said = capsys.readouterr().err
+    start = "greenhouse emergency-stop: NOTHING WAS STOPPED: "
+    assert said.startswith(f"{start}{reason.format(machine)}; say --socket PATH")
+    assert "pull the heater's plug" in said and "demo" not in said
+
+
 @pytest.mark.parametrize("variable", [True, False])
 def test_a_rig_is_selected_by_its_name(
     machine: Path, listen: Listen, monkeypatch: pytest.MonkeyPatch, variable: bool

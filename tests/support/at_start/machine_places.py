@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any
 
 OFFENCES = "GREENHOUSE_TESTS_OFFENCES"
+RUN = "/run/greenhouse"
 PLACES = (
     "/etc/greenhouse",  # and greenhouse-fleet, as below
     "/etc/mosquitto/conf.d/greenhouse",
     "/etc/mosquitto/greenhouse",
     "/etc/systemd/system/greenhouse",
     "/var/lib/greenhouse",
-    "/run/greenhouse",
+    RUN,
     "/run/systemd/system",
     f"/tmp/greenhouse-demos-{os.getuid()}",  # this person's own demos
     "/dev/greenhouse",
@@ -52,6 +53,8 @@ def _refuse(event: str, values: tuple[Any, ...]) -> None:
     if event == "os.symlink":
         values = values[1:]  # a link may name anything
     for path in filter(is_hidden, values):
+        if event == "os.mkdir" and os.fsdecode(path) == RUN:  # every daemon tries, and runs without it
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), RUN)
         if offences := os.environ.get(OFFENCES):
             with Path(offences).open("a") as file:
                 print(f"{event} {os.fsdecode(path)}", file=file)
