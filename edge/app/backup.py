@@ -91,18 +91,17 @@ def places(config: Path, settings: Settings) -> dict[str, Path]:
 def back_up(config: Path, out: Path) -> dict[str, int]:
     """Write a backup, readable by its owner alone, while the daemon runs or not; return bytes by name.
 
-    Errors : ConfigError; DataError for a history that cannot be read or a secret that others can; OSError
+    Errors : ConfigError; RequestError for a file that is there; OSError
+        DataError for a history that cannot be read or a secret that others can
     """
-    settings = loading.load(config)
+    if os.path.lexists(out):
+        raise RequestError(f"{out} exists; choose another name")
+    found = places(config, loading.load(config))
     with tempfile.TemporaryDirectory(prefix=".backup-", dir=out.absolute().parent) as name:
         folder = Path(name) / "files"
         folder.mkdir()
-        sizes = {
-            part: _copy(part, path, folder / part)
-            for part, path in places(config, settings).items()
-            if path.exists()
-        }
-        _refuse_loose(folder, str(config.parent))
+        sizes = {part: _copy(part, path, folder / part) for part, path in found.items() if path.exists()}
+        _refuse_loose(folder, found.__getitem__, ": `chmod go= {}`, then again")
         draft = Path(name) / "backup"
         descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "wb") as file:
@@ -180,18 +179,18 @@ def _copy_folder_once(path: Path, target: Path) -> None:
     target.chmod(mode)
 
 
-def _refuse_loose(folder: Path, place: str) -> None:
-    """Refuse secrets that others than their owner can read. Errors: DataError"""
+def _refuse_loose(folder: Path, place_of: Callable[[str], Path], advice: str) -> None:
+    """Refuse secrets that others than their owner can read. Errors: DataError with the advice for a place"""
     for part in SECRETS:
         top = folder / part
         if not top.exists() or (top.is_dir() and not top.stat().st_mode & _LOOSE):
             continue
         for path in (top, *top.rglob("*")):
             if path.is_file() and (mode := path.stat().st_mode & 0o777) & _LOOSE:
-                raise DataError(
-                    f"{place}: {path.relative_to(folder)} is a secret that others can read "
-                    f"(mode {mode:04o}): chmod go= on it first"
-                )
+                place = place_of(part) / path.relative_to(top)
+                setting = " (bundle.signing_key)" if part == "signing.key" else ""
+                reason = f"can be read by other users (mode {mode:04o}){advice.format(place)}"
+                raise DataError(f"{place}{setting} {reason}")
 
 
 def _write(file: object, folder: Path) -> None:
@@ -232,7 +231,7 @@ def restore(
     with tempfile.TemporaryDirectory(prefix=".restore-", dir=above) as name:
         folder = Path(name)
         _unpack(backup, folder)
-        _refuse_loose(folder, str(backup))
+        _refuse_loose(folder, lambda part: Path(f"{backup}: {part}"), ": no backup of ours")
         settings = loading.load(folder / CONFIG)
         every = places(config, settings)
         found = {part: path for part, path in every.items() if (folder / part).exists()}
@@ -248,7 +247,10 @@ def restore(
             raise RequestError("nothing was restored")
         for part, path in found.items():
             kept = _put(folder / part, path, stamp)
-            yield f"{path}{f' (before: {kept})' if kept else ''}"
+            owner = (
+                "; chown it to the daemon's user" if part == "signing.key" and not path.lstat().st_uid else ""
+            )
+            yield f"{path}{f' (before: {kept})' if kept else ''}{owner}"
 
 
 def _refuse_elsewhere(part: str, path: Path, known: Path | None, config: Path) -> None:
@@ -283,6 +285,8 @@ class _Bounded(gzip.GzipFile):
 
 def _unpack(backup: Path, folder: Path) -> None:
     """Unpack what the manifest names, and check each file. Errors: DataError"""
+    no_backup = f"{backup} is no backup of `greenhouse backup`"
+    damaged, other = f"{backup} is damaged or cut off; nothing was changed", no_backup
     try:
         with (
             open_file(backup) as file,
@@ -293,11 +297,15 @@ def _unpack(backup: Path, folder: Path) -> None:
             first = archive.next()
             content = archive.extractfile(first) if first is not None and first.name == MANIFEST else None
             if content is None:
-                raise DataError(f"{backup}: not a backup: its first member is not {MANIFEST}")
-            manifest = read_manifest(content.read(_CHUNK), f"{backup}: {MANIFEST}")
+                raise DataError(f"{no_backup}: its first member is not {MANIFEST}")
+            other, manifest = damaged, read_manifest(content.read(_CHUNK), f"{backup}: {MANIFEST}")
             while (member := archive.next()) is not None:
                 _unpack_file(archive, member, manifest, folder, backup)
-    except (tarfile.TarError, zlib.error, EOFError, OSError) as error:
+    except (zlib.error, EOFError) as error:
+        raise DataError(damaged) from error
+    except (tarfile.TarError, gzip.BadGzipFile) as error:
+        raise DataError(other) from error
+    except OSError as error:
         raise DataError(f"{backup}: {error}") from error
     missing = [name for name in manifest.files if not (folder / name).is_file()]
     if missing or CONFIG not in manifest.files:

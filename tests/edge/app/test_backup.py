@@ -1,8 +1,10 @@
 """edge/app/backup.py: a rig goes on elsewhere from one file; a damaged one changes nothing."""
 
+import gzip
 import io
 import json
 import os
+import re
 import socket
 import sqlite3
 import tarfile
@@ -240,7 +242,7 @@ def name_a_climber(member, data):
         (link, "does not belong into a backup"),
         (add_key, "layuot"),
         (name_a_climber, "does not belong into a backup"),
-        (lambda member, data: None if member.name == MANIFEST else (member, data), "its first member"),
+        (lambda member, data: None if member.name == MANIFEST else (member, data), "is no backup of"),
     ],
     ids=["flip", "drop", "climb", "link", "unknown key", "named climber", "no manifest"],
 )
@@ -253,13 +255,26 @@ def test_a_damaged_or_hostile_backup_changes_nothing(rig, tmp_path, change, said
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
-def test_a_backup_that_was_cut_off_changes_nothing(rig, tmp_path, share):
+DAMAGED, OTHER = "is damaged or cut off; nothing was changed", "is no backup of `greenhouse backup`"
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (lambda whole: whole[:0], OTHER),
+        (lambda whole: whole[:9], DAMAGED),
+        (lambda whole: whole[: len(whole) * 3 // 10], DAMAGED),
+        (lambda whole: whole[: len(whole) * 9 // 10], DAMAGED),
+        (lambda whole: b"an email" * 100, OTHER),
+        (lambda whole: gzip.compress(b"a log" * 1000), OTHER),
+    ],
+)
+def test_a_file_that_is_damaged_or_no_backup_changes_nothing(rig, tmp_path, harm, said):
     out = tmp_path / "backup.tar.gz"
     back_up(rig, out)
-    out.write_bytes(out.read_bytes()[: int(out.stat().st_size * share)])
+    out.write_bytes(harm(out.read_bytes()))
     before = contents(rig.parent.parent)
-    with pytest.raises(DataError, match=r"backup\.tar\.gz"):
+    with pytest.raises(DataError, match=rf"^{re.escape(str(out))} {said}"):
         list(restore(out, rig, replaces=True))
     assert contents(rig.parent.parent) == before
 
@@ -302,14 +317,61 @@ def test_places_of_the_package_are_taken(part, path, is_taken):
             check()
 
 
-@pytest.mark.parametrize("name", ["etc/page-credentials", "page/page.db"])
-def test_secrets_that_others_can_read_are_refused(rig, tmp_path, name):
-    place = rig.parent.parent / name
-    for path in (place, *place.glob("*")):
-        path.chmod(0o755 if path.is_dir() else 0o644)
-    with pytest.raises(DataError, match=r"is a secret that others can read \(mode 0644\)"):
+@pytest.mark.parametrize(
+    ("name", "setting"),
+    [("etc/page-credentials/mail", ""), ("page/page.db", ""), ("etc/rig.pem", " (bundle.signing_key)")],
+)
+def test_secrets_that_others_can_read_are_refused(rig, tmp_path, name, setting):
+    root = rig.parent.parent
+    give_key(root)
+    (root / "etc/page-credentials/mail").chmod(0o600)
+    (root / name).chmod(0o644)
+    (root / name).parent.chmod(0o755)
+    with pytest.raises(DataError) as refused:
         back_up(rig, tmp_path / "backup.tar.gz")
+    way = f"`chmod go= {root / name}`, then again"
+    assert str(refused.value) == f"{root / name}{setting} can be read by other users (mode 0644): {way}"
     assert not (tmp_path / "backup.tar.gz").exists()
+
+
+def give_key(root: Path) -> None:
+    """Give the rig a key that signs."""
+    (root / "etc/rig.pem").write_text("private")
+    (root / "etc/rig.pem").chmod(0o600)
+    settings = settings_in(root)
+    settings["bundle"]["signing_key"] = str(root / "etc/rig.pem")
+    (root / "etc/edge.yaml").write_text(yaml.safe_dump(settings))
+
+
+def test_a_backup_whose_secrets_others_can_read_is_refused(rig, tmp_path):
+    back_up(rig, tmp_path / "backup.tar.gz")
+
+    def loosen(member, data):
+        member.mode = 0o644
+        return member, data
+
+    bad = changed(tmp_path / "backup.tar.gz", loosen)
+    with pytest.raises(DataError, match=r": page\.db can be read by .*: no backup of ours"):
+        list(restore(bad, rig, replaces=True))
+
+
+@pytest.mark.parametrize("name", ["etc/edge.yaml", "backup.tar.gz", "link"])
+def test_a_backup_takes_the_place_of_no_file(rig, tmp_path, name):
+    root = rig.parent.parent
+    (root / "backup.tar.gz").write_text("of yesterday")
+    (root / "link").symlink_to("nowhere")
+    before = contents(root)
+    with pytest.raises(RequestError, match=rf"{name} exists; choose another name"):
+        back_up(rig, root / name)
+    assert contents(root) == before
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="restored by root")
+def test_a_restored_key_of_root_is_told(rig, tmp_path):
+    give_key(rig.parent.parent)
+    back_up(rig, tmp_path / "backup.tar.gz")
+    told = [line for line in restore(tmp_path / "backup.tar.gz", rig, replaces=True) if "chown" in line]
+    assert len(told) == 1 and "rig.pem" in told[0] and told[0].endswith("; chown it to the daemon's user")
 
 
 def swell(member, data):
