@@ -14,7 +14,7 @@ from edge.commands.which_rig import RIG_CONFIG
 from edge.config.settings import Settings
 from edge.core.errors import ConfigError, RequestError
 from edge.formats.owner import become_owner
-from edge.page.access import DAY_S, LINK_DAYS_MAX, ROLES, Access, Role
+from edge.page.access import DAY_S, LINK_DAYS_MAX, RIGHTS, ROLES, Access, Role
 from edge.page.address import address
 from edge.page.alarms import trial
 from edge.page.child import is_installed
@@ -70,10 +70,11 @@ def run(arguments: argparse.Namespace) -> int:
             _print_link(settings, access, arguments, arguments.days, None if arguments.role == "view" else 1)
         case "person":
             access.set_password(arguments.name, ROLES[arguments.role], ask_password())
+            print(f"{arguments.name} may log in now ({arguments.role}).")
         case "sessions":
             _print_sessions(access)
         case "revoke":
-            print(f"{len(_revoke(access, arguments))} sessions ended")
+            print(_revoke(access, arguments))
         case "test-alarm":
             return _test_alarm(settings, access)
     return 0
@@ -123,22 +124,33 @@ def ask_password() -> str:
     return first
 
 
-def _revoke(access: Access, given: argparse.Namespace) -> list[int]:
-    """Errors: RequestError for what is not there"""
-    for kind, key in (("sessions", given.session), ("links", given.link), ("people", given.person)):
-        if key is not None:
-            if access.role_of(kind, key) is None:
-                raise RequestError(f"there is no {key}: `greenhouse page sessions` lists what there is")
-            return access.revoke(kind, key)
-    return access.revoke_all()
+def _revoke(access: Access, given: argparse.Namespace) -> str:
+    """Return what has ended. Errors: RequestError for what is not there"""
+    links, keys = access.links(), (given.session, given.link, given.person)
+    rights = zip(RIGHTS, ("session", "link", "person"), keys, strict=True)
+    kind, word, key = next((each for each in rights if each[2] is not None), ("", "", ""))
+    if not kind:
+        text = f"{len(access.revoke_all())} sessions, {len(links)} links"
+        return f"All ended: {text}. Passwords still work; --person NAME ends one."
+    if access.role_of(kind, key) is None:
+        ways = "sessions (revoke N), links (--link N) and people (--person NAME)"
+        raise RequestError(f"there is no {word} {key}: `greenhouse page sessions` lists {ways}")
+    link = next((row["link"] for row in access.sessions() if row["session"] == key), None)
+    count = len(access.revoke(kind, key))
+    if word == "session":
+        left = f"; link {link}, which it came from, still works: --link {link}"
+        return f"Session {key} ended{left * (link in [row['link'] for row in access.links()])}."
+    ended = f"{count} session{'s' * (count != 1)} ended"
+    if word == "link":
+        return f"Link {key} no longer works; {ended if count else 'no browser has a session by it'}."
+    return f"{key} can no longer log in; {ended}."
 
 
 def _print_sessions(access: Access) -> None:
     for row in access.sessions():
         seen = datetime.fromtimestamp(float(str(row["seen_utc"])))
-        print(
-            f"{row['session']:4}  {row['role']:8}{row['name']:20}seen {seen:%Y-%m-%d %H:%M}  {row['browser']}"
-        )
+        who = f"session {row['session']}  {row['role']:8}{row['name']:20}"
+        print(f"{who}seen {seen:%Y-%m-%d %H:%M}  {row['browser']}")
     for row in access.links():
         left = "any number of browsers" if row["uses_left"] is None else f"{row['uses_left']} more browsers"
         until = datetime.fromtimestamp(float(str(row["expires_utc"])))

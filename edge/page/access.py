@@ -22,8 +22,8 @@ SESSION_S = 30 * DAY_S  # without a visit, after which a session ends
 SEEN_EVERY_S = 600.0  # a visit is written no more often: a card wears
 BUSY_S = 5.0
 SCHEMA = """
-CREATE TABLE IF NOT EXISTS links (id INTEGER PRIMARY KEY, secret BLOB UNIQUE, role INTEGER, name TEXT,
-    made_utc REAL, expires_utc REAL, uses_left INTEGER);
+CREATE TABLE IF NOT EXISTS links (id INTEGER PRIMARY KEY AUTOINCREMENT, secret BLOB UNIQUE, role INTEGER,
+    name TEXT, made_utc REAL, expires_utc REAL, uses_left INTEGER);
 CREATE TABLE IF NOT EXISTS sessions (id INTEGER PRIMARY KEY AUTOINCREMENT, secret BLOB UNIQUE, link INTEGER,
     role INTEGER, name TEXT, browser TEXT, made_utc REAL, seen_utc REAL, expires_utc REAL);
 CREATE TABLE IF NOT EXISTS people (name TEXT PRIMARY KEY, role INTEGER, salt BLOB, password BLOB);

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from edge.__main__ import main
+from edge.commands import page as page_command
 from edge.core.errors import DataError, RequestError
 from edge.page.access import DAY_S, NEEDS, SESSION_S, Access, Role, order_problem
 
@@ -116,6 +118,55 @@ def test_a_link_and_a_person_end_with_their_sessions_alone(access: Access) -> No
     assert access.visitor(begun[0]) is None and access.log_in("Bo", "long enough", "") is None
     assert [row["name"] for row in access.people()] == ["Cy"]
     assert access.role_of("links", number) is None and access.role_of("people", "Cy") is Role.OPERATE
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["1"], "Session 1 ended; link 1, which it came from, still works: --link 1.\n"),
+        (["3"], "Session 3 ended.\n"),  # its link was for one browser
+        (["4"], "Session 4 ended.\n"),
+        (["--link", "1"], "Link 1 no longer works; 2 sessions ended.\n"),
+        (["--link", "2"], "Link 2 no longer works; 1 session ended.\n"),
+        (["--link", "3"], "Link 3 no longer works; no browser has a session by it.\n"),
+        (["--person", "Bo"], "Bo can no longer log in; 1 session ended.\n"),
+        ([], "All ended: 4 sessions, 3 links. Passwords still work; --person NAME ends one.\n"),
+        (["9"], "there is no session 9: `greenhouse page sessions` lists sessions (revoke N), links (--link"),
+        (["--link", "9"], "there is no link 9: "),
+        (["--person", "Cy"], "there is no person Cy: "),
+    ],
+)
+def test_revoke_says_what_ended_and_what_still_works(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    said: str,
+) -> None:
+    config, access = tmp_path / "edge.yaml", Access.of(tmp_path / "page")
+    config.write_text(f"page: {{folder: {access.path.parent}}}\n")
+    page = ["page", "--config", str(config)]
+    links = [access.make_link(Role.VIEW, "class", DAY_S, uses) for uses in (None, 1, None)]
+    for link in (links[0], links[0], links[1]):
+        entered(access, link)
+    monkeypatch.setattr(page_command, "ask_password", lambda: "long enough")
+    assert main([*page, "person", "Bo"]) == 0
+    assert access.log_in("Bo", "long enough", "a browser") is not None
+    assert main([*page, "sessions"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert listed[0] == "Bo may log in now (operate)."
+    rows = [f"session {number}" for number in (4, 3, 2, 1)] + [f"link {number}" for number in (3, 2, 1)]
+    assert [line.partition("  ")[0] for line in listed[1:]] == [*rows, "person"]
+    assert main([*page, "revoke", *options]) == (2 if said.startswith("there") else 0)
+    heard = capsys.readouterr()
+    assert (heard.out or heard.err.removeprefix("greenhouse page: ")).startswith(said)
+
+
+def test_the_number_of_a_link_is_not_used_again(access: Access) -> None:
+    for number in (1, 2):
+        access.make_link(Role.VIEW, "class", DAY_S)
+        assert [row["link"] for row in access.links()] == [number]
+        access.revoke("links", number)
 
 
 def test_who_saw_an_alarm_first_stays(access: Access) -> None:
