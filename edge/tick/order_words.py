@@ -14,6 +14,8 @@ Words = Callable[[Operation, Operation, float], str]
 def order_words(kind: str, before: Operation, after: Operation, utc: float) -> tuple[bool, str]:
     """Return whether an order of this kind changed anything, and what holds at `utc` since then."""
     before, after = before.at(utc), after.at(utc)
+    if kind.endswith("_profile") and before.profile is after.profile is None:
+        return False, "Nothing changed: no profile is followed."
     topics = [words for words, parts in _TOPICS.items() if parts(before) != parts(after)]
     topics = topics or [_TOPIC_OF.get(kind, _set_point)]
     if _set_point in topics and _mode not in topics and after.mode not in (Mode.AUTO, Mode.HEAT):

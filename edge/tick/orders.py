@@ -351,28 +351,19 @@ def _start_profile(operation: Operation, asked: StartProfile, desk: Desk) -> Ope
 
 
 def _in_profile(**changes: Any) -> Callable[[Operation, NoKeys, Desk], Operation]:
-    """Return an order that changes the profile that is followed."""
+    """Return an order that changes the profile that is followed, if any."""
     return lambda operation, asked, desk: replace(
-        operation, profile=replace(_profile_of(operation), **changes)
+        operation, profile=operation.profile and replace(operation.profile, **changes)
     )
 
 
-def _profile_of(operation: Operation) -> StandingProfile:
-    if operation.profile is None:
-        raise RequestError("no profile is followed")
-    return operation.profile
-
-
 def _skip_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
-    profile = _profile_of(operation)
+    profile = operation.profile
+    if profile is None:
+        return operation
     if profile.next_s is None:
         raise RequestError("the profile is over: there is no point to move to")
     return replace(operation, profile=replace(profile, position_s=profile.next_s))
-
-
-def _end_profile(operation: Operation, asked: NoKeys, desk: Desk) -> Operation:
-    _profile_of(operation)
-    return replace(operation, profile=None)
 
 
 def _sensors_of(desk: Desk) -> SensorDesk:
@@ -432,7 +423,7 @@ ORDERS: dict[str, Order] = {
     "pause_profile": Order(_in_profile(is_paused=True)),
     "resume_profile": Order(_in_profile(is_paused=False)),
     "skip_profile": Order(_skip_profile),
-    "end_profile": Order(_end_profile),
+    "end_profile": Order(lambda operation, asked, desk: replace(operation, profile=None)),
     "calibrate_point": Order(_calibrate_point, CalibratePoint),
     "discard_points": Order(lambda operation, asked, desk: _without(operation, asked.signal), OneSignal),
     "apply_calibration": Order(_apply_calibration, OneSignal),

@@ -13,6 +13,7 @@ from edge.core.errors import DataError, RequestError
 from edge.formats.reader import read
 from edge.safety.supervisor import SafetyMemory
 from edge.tick.loop import Loop
+from edge.tick.order_words import order_words
 from edge.tick.orders import Desk, Operation, operate
 from edge.tick.orders_json import from_dict, to_dict
 from edge.tick.standing_profile import POINTS_MAX, SAVE_EVERY_S, StandingProfile, duration
@@ -100,8 +101,9 @@ def test_it_takes_the_place_of_a_temperature_by_hand_and_ends_where_it_is_ended(
     assert later.profile is not None and later.profile.position_s == 2 * HOUR
     assert operate(later, {"do": "end_profile"}, desk) == Operation("MPC")
     for order in ("pause_profile", "resume_profile", "skip_profile", "end_profile"):
-        with pytest.raises(RequestError, match="no profile is followed"):
-            operate(by_hand, {"do": order}, desk)
+        after = operate(by_hand, {"do": order}, desk)
+        said = order_words(order, by_hand, after, 0.0)
+        assert (after, said) == (by_hand, (False, "Nothing changed: no profile is followed."))
     over = replace(started, profile=DAY.later(9 * HOUR))
     with pytest.raises(RequestError, match="the profile is over"):
         operate(over, {"do": "skip_profile"}, desk)
