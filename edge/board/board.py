@@ -11,6 +11,7 @@ from operator import attrgetter
 
 from edge.board.serial_port import OpenPort, PortGone, SerialPort, WirePort
 from edge.core.clock import Clock
+from edge.core.errors import RequestError
 from edge.core.event_log import EventLog
 from edge.core.hard_limits import LEASE_S
 from edge.core.messages import AirSensorPair, Command, Echo, Event, Reading, ReadingQuality, Severity
@@ -165,13 +166,17 @@ class Board:
         """Ask the board to forget its trip; it refuses while the cause lasts. Waits for the link likewise."""
         self._order("trip", wire_messages.ClearTrip())
 
-    def accept(self) -> bool:
-        """Pin the board that answers, and drive it from now on; False where no other one answers."""
-        if not self.foreign or self.hello is None or not self.hello.board_id:
-            return False
-        self._pin(self.hello.board_id)
+    def accept(self) -> tuple[bool, str]:
+        """Pin the board that answers; return whether it is a new one, and what holds. Errors: RequestError"""
+        if not self._answers or self.hello is None or not self.hello.board_id:
+            raise RequestError("no board that is configured answers at the port")
+        number, before = self.hello.board_id, self._pinned
+        if not self.foreign:
+            return False, f"Nothing changed: board {number}, at the port, is already this rig's."
+        self._pin(number)
         self._begin()
-        return True
+        said = f"Board {number} is this rig's board from now on (before: {before})."
+        return True, f"{said} It is driven from the next step on."
 
     def serve(
         self, until_s: float, wake: int | None = None, done: Callable[[], bool] = lambda: False

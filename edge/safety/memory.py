@@ -44,6 +44,7 @@ class SafetyView:
     dt_s: float  # how long the command will hold [s]
     box: BoxBounds = PAPER_BOX
     air_doubt: AirDoubt | None = None
+    is_foreign: bool = False  # a board is at the port that is not the rig's
 
 
 @dataclass(frozen=True, slots=True)

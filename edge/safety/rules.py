@@ -55,9 +55,7 @@ class Limit:
 
 
 def known_value(view: SafetyView, signal: str, age_max_s: float) -> float | None:
-    """Return a reliable measurement: good, a number, at most `age_max_s`
-    old, not from the future; else None.
-    """
+    """Return a measurement that is good, a number, at most `age_max_s` old, not of the future; else None."""
     reading = view.readings.get(signal)
     if reading is None or reading.quality is not ReadingQuality.GOOD or reading.value is None:
         return None
@@ -77,7 +75,8 @@ def maintenance(s: RuleInput) -> str:
 
 def link_down(s: RuleInput) -> str:
     """Force an output without a link: no command arrives, and the board's leases run out."""
-    return "" if s.view.link_up else "no link to the board"
+    reason = "another board is at the port" if s.view.is_foreign else "no link to the board"
+    return "" if s.view.link_up else reason
 
 
 def trip(s: RuleInput) -> str:

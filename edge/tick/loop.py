@@ -65,6 +65,7 @@ from edge.tick.status import STATUS, LoopStatus
 
 ECHO_TIMEOUT_S = 1.5  # five sends of one request, then the tick goes on without the board's answer
 NOT_REACHED = "no link to the board: it obeys as soon as it is back; what it drives now ends with its lease"
+ANOTHER_BOARD = "another board is at the port and gets stops alone; the rig's own obeys once it is back"
 # Each release lets the next stop write the board's EEPROM, which takes 100 000 writes: it lasts 11 months so.
 RELEASES, RELEASE_EVERY_S = 100, 300.0  # at once; at length [s]
 RELEASED_TOO_OFTEN = "released too often: each time wears the board's memory; it stays off, try in 5 minutes"
@@ -306,6 +307,7 @@ class Loop:
             dt_s=self._step_s,
             box=rig.box,
             air_doubt=rig.sensors.air_doubt,
+            is_foreign=bool(rig.foreign_board()),
         )
         verdict = supervise(wanted, view, self._memory, rig.settings.safety)
         if not survives_as(verdict.memory, self._memory):
@@ -437,11 +439,7 @@ class Loop:
                     said = self._clear_trip(request)
                 case "accept_board":
                     read_request(NoKeys, request)
-                    if not self._rig.accept_board():
-                        raise RequestError("accept_board: no other board that is configured is at the port")
-                    text = with_author("the board was accepted", request)
-                    self._tell("operator.accept_board", Severity.INFO, text, self._rig.clock.now())
-                    said = {"changed": True, "message": "This board is the rig's from now on."}
+                    said = self._answer_keys(*self._rig.accept_board(), "", request)
                 case _:
                     said = self._order(request)
         except RequestError as error:
@@ -501,8 +499,9 @@ class Loop:
     def _answer_keys(self, changed: bool, message: str, warning: str, request: Request) -> Reply:
         """Return an answer's keys, and record an order that changed something."""
         if changed:
-            key = "operator.clear_trip" if request["do"] == "clear_trip" else "operator.order"
-            self._tell(key, Severity.INFO, with_author(message, request), self._rig.clock.now())
+            kind = request["do"] if request["do"] in ("clear_trip", "accept_board") else "order"
+            text, now = with_author(message, request), self._rig.clock.now()
+            self._tell(f"operator.{kind}", Severity.INFO, text, now)
         return {"changed": changed, "message": message} | ({"warning": warning} if warning else {})
 
     def _board_trip(self) -> str:
@@ -553,7 +552,8 @@ class Loop:
                 return ""
         if board.serve_until_answered(ECHO_TIMEOUT_S):
             return ""
-        return "the board has not confirmed it yet" if board.link_up else NOT_REACHED
+        no_link = ANOTHER_BOARD if self._rig.foreign_board() else NOT_REACHED
+        return "the board has not confirmed it yet" if board.link_up else no_link
 
     def _desk(self) -> Desk:
         settings = self._rig.settings
@@ -590,9 +590,7 @@ class Loop:
         return self._answer_keys(changed, message, warning, request)
 
     def _act_now(self) -> None:
-        """Apply new orders to the last decision at once, not a step later, and
-        emit an event, since it is not a tick.
-        """
+        """Apply new orders to the last decision at once, not a step later; an event, not a tick, says so."""
         record = self.last_record
         if record is None:
             return

@@ -205,7 +205,7 @@ class Rig:
     show: Callable[[LoopStatus], None] = lambda status: None  # publish a tick, or what changed between two
     stop_at_s: float = math.inf  # end of an experiment
     foreign_board: Callable[[], str] = lambda: ""  # ids of a board that answers and is not the pinned one
-    accept_board: Callable[[], bool] = lambda: False  # drive that board from now on; False where none answers
+    accept_board: Callable[[], tuple[bool, str]] = lambda: (False, "")  # drive it; whether new, what holds
     drift: DriftWatch | None = None  # watches the running twin
     box: BoxBounds = PAPER_BOX
     clocks: Moment | None = None  # a joint reading, unless someone has set one since the previous process

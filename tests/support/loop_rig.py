@@ -148,9 +148,9 @@ class FakeBoard:
         self.cleared += 1
         self.tripped = self.tripped and self.keeps_trip
 
-    def accept(self) -> bool:
+    def accept(self) -> tuple[bool, str]:
         accepted, self.foreign, self.link_up = bool(self.foreign), "", True
-        return accepted
+        return accepted, "Board 2 is this rig's." if accepted else "Nothing changed."
 
 
 @dataclass

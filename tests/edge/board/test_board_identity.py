@@ -10,6 +10,7 @@ import pytest
 from edge.board import board_tool
 from edge.board.board import Board
 from edge.board.sim_clock import SimClock
+from edge.core.errors import RequestError
 from edge.core.messages import Command
 from firmware_protocol.board_block import BoardBlock, BoardKind, decode_block
 from firmware_protocol.messages import Capability, ResetCause
@@ -51,10 +52,12 @@ def test_another_board_is_shown_and_not_driven_until_it_is_accepted(tmp_path: Pa
         assert not board.link_up and board.has_samples and pins == []
         drive(board, clock)
         assert on(started) == [] and board.serve_until_echo(1.5) is None
-        assert board.accept() and pins == [VIRTUAL_ID] and "board.pinned" in keys(board)
+        told = "Board 1 is this rig's board from now on (before: 30583). It is driven from the next step on."
+        assert board.accept() == (True, told) and pins == [VIRTUAL_ID] and "board.pinned" in keys(board)
         drive(board, clock)
         assert {"heater_relay", "fan", "led"} <= set(on(started))
-        assert not board.accept()  # it is the pinned one
+        assert board.accept() == (False, "Nothing changed: board 1, at the port, is already this rig's.")
+        assert pins == [VIRTUAL_ID]
 
 
 def test_a_stop_reaches_another_board_and_its_release_only_once_accepted(tmp_path: Path) -> None:
@@ -94,7 +97,9 @@ def test_a_board_without_a_configuration_is_never_pinned(tmp_path: Path) -> None
         board._greet(BoardConfig(board_id=0).hello(1, ResetCause.POWER_ON, 1))
         assert pins == [] and not board.foreign
         board._pinned = 7
-        assert board.foreign and not board.accept() and pins == []
+        with pytest.raises(RequestError, match="no board that is configured answers at the port"):
+            board.accept()
+        assert board.foreign and pins == []
 
 
 class ConfigurableSession:

@@ -716,16 +716,21 @@ def test_stops_without_end_while_a_controller_thinks_do_not_hold_up_the_tick(rig
 def test_another_board_is_an_alarm_of_its_own_until_it_is_accepted(rig: LoopRig) -> None:
     rig.tick()
     rig.board.foreign, rig.board.link_up = "board 2 answers, board 1 is pinned", False
-    assert rig.tick().sent == Command()
-    event = next(event for event in rig.sink.records[-1].events if event.key == "board.foreign")
+    record = rig.tick()
+    assert record.sent == Command() and record.changes[-1].reason == "another board is at the port"
+    event = next(event for event in record.events if event.key == "board.foreign")
     assert event.severity is Severity.ALARM and "board 2 answers" in event.text
     assert rig.ask({"do": "status"})["foreign_board"] == rig.board.foreign
-    assert rig.ask({"do": "accept_board", "by": "me"})["ok"]
+    for order in STOPS:
+        assert "another board is at the port and gets stops alone" in rig.ask(order)["warning"]
+    for order in ({"do": "release_emergency_stop"}, {"do": "maintenance", "minutes": 0}):
+        rig.ask(order)
+    assert rig.ask({"do": "accept_board", "by": "me"})["message"] == "Board 2 is this rig's."
     assert rig.tick().sent.heater_duty > 0.0
     assert {"operator.accept_board", "board.foreign.over"} <= set(rig.events())
     assert "board.link_down" not in rig.events()
-    refused = rig.ask({"do": "accept_board"})
-    assert not refused["ok"] and "no other board" in refused["error"]
+    again = rig.ask({"do": "accept_board"})
+    assert (again["ok"], again["changed"], again["message"]) == (True, False, "Nothing changed.")
 
 
 def test_a_lasting_failure_is_told_twice() -> None:
