@@ -247,9 +247,8 @@ def restore(
             raise RequestError("nothing was restored")
         for part, path in found.items():
             kept = _put(folder / part, path, stamp)
-            owner = (
-                "; chown it to the daemon's user" if part == "signing.key" and not path.lstat().st_uid else ""
-            )
+            is_roots_key = part == "signing.key" and not path.lstat().st_uid
+            owner = "; chown it to the daemon's user" if is_roots_key else ""
             yield f"{path}{f' (before: {kept})' if kept else ''}{owner}"
 
 
@@ -301,10 +300,9 @@ def _unpack(backup: Path, folder: Path) -> None:
             other, manifest = damaged, read_manifest(content.read(_CHUNK), f"{backup}: {MANIFEST}")
             while (member := archive.next()) is not None:
                 _unpack_file(archive, member, manifest, folder, backup)
-    except (zlib.error, EOFError) as error:
-        raise DataError(damaged) from error
-    except (tarfile.TarError, gzip.BadGzipFile) as error:
-        raise DataError(other) from error
+    except (tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError) as error:
+        is_cut = isinstance(error, zlib.error | EOFError)
+        raise DataError(damaged if is_cut else other) from error
     except OSError as error:
         raise DataError(f"{backup}: {error}") from error
     missing = [name for name in manifest.files if not (folder / name).is_file()]

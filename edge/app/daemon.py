@@ -263,9 +263,7 @@ class Daemon:
             loop.announce("calibration.holds", text)
 
     def _external(self) -> External:
-        """Return the external controller. Its wait ends a little before the
-        caller's, so that its reason arrives.
-        """
+        """Return the external controller; its wait ends before the caller's, so that its reason arrives."""
         control = self.settings.control
         proposals = ExternalProposals(Path(self.settings.external.socket))
         self._stack.callback(proposals.close)
@@ -275,15 +273,13 @@ class Daemon:
 
     def _bundles(self) -> BundleKeeper | None:
         """None where the configuration has no folder for them."""
-        settings = self.settings
-        if not settings.bundle.path:
+        own, step_s = self.settings.bundle, self.settings.control.step_s
+        if not own.path:
             return None
-        keys, step_s = Path(settings.bundle.trusted_keys), settings.control.step_s
-        store = BundleStore(Path(settings.bundle.path), keys, loader(step_s), prove=Prover(keys, step_s))
-        automatic = settings.bundle.auto == "promote"
-        own = settings.bundle
+        keys = Path(own.trusted_keys)
+        store = BundleStore(Path(own.path), keys, loader(step_s), prove=Prover(keys, step_s))
         source = BundleSource(own.source, own.source_ca)
-        bundles = BundleKeeper(store, self.clock, automatic, own.trial_ticks, source)
+        bundles = BundleKeeper(store, self.clock, own.auto == "promote", own.trial_ticks, source)
         self._stack.callback(bundles.close)
         return bundles
 

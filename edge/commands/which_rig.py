@@ -13,6 +13,7 @@ from edge.sockets.client import listens
 
 RIG_CONFIG = Path("/etc/greenhouse/edge.yaml")
 RIG_VARIABLE = "GREENHOUSE_RIG"
+DEMO_HINT = "; `greenhouse demo` runs one without a rig"
 
 
 def add_socket(parser: argparse.ArgumentParser) -> None:
@@ -45,9 +46,7 @@ def socket_of(arguments: argparse.Namespace, urgent: bool = False) -> Path:
     return Path(rigs[0].socket)
 
 
-def rigs_of(
-    arguments: argparse.Namespace, hint: str = "; `greenhouse demo` runs one without a rig"
-) -> list[RunningRig]:
+def rigs_of(arguments: argparse.Namespace, hint: str = DEMO_HINT) -> list[RunningRig]:
     """Return the selected rigs; without a selection all that run, and this machine's rig even while down.
 
     Errors : RequestError where there is none, with the hint where none was named
