@@ -60,7 +60,8 @@ def rigs_of(arguments: argparse.Namespace, hint: str = DEMO_HINT) -> list[Runnin
             return selected
         known = ", ".join(sorted({each.name for each in found})) or "none"
         raise RequestError(f"no rig named {quote(name)} runs on this machine; running: {plain(known, 1000)}")
-    if (rig.exists() or RIG_CONFIG.exists()) and all(each.socket != str(rig) for each in found):
+    is_here = listens(rig) or any(os.access(place, os.F_OK) for place in (rig, RIG_CONFIG))
+    if is_here and all(each.socket != str(rig) for each in found):
         found.insert(0, RunningRig("", str(rig)))
     if not found:
         raise RequestError(f"no daemon listens at {rig}{hint}")
@@ -86,7 +87,7 @@ def history_of(history: Path | None) -> Path:
 def rig_socket() -> Path:
     """Return the socket that the rig's configuration names, the default where it cannot be read."""
     usual = Path(ControlSocketSettings().path)
-    if usual.exists() or not os.access(RIG_CONFIG, os.R_OK):
+    if os.access(usual, os.F_OK) or not os.access(RIG_CONFIG, os.R_OK):
         return usual
     from edge.config import loading as config  # late: a stop on a usual rig does not wait for YAML
 

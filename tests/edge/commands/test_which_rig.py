@@ -232,6 +232,23 @@ def test_a_stop_that_finds_nobody_says_first_that_nothing_was_stopped(
     assert "pull the heater's plug" in said and "demo" not in said
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_a_stop_by_a_user_who_may_not_reach_the_rig_says_so(
+    machine: Path, listen: Listen, capsys: pytest.CaptureFixture[str]
+) -> None:
+    listen(machine / "rig.sock")
+    assert main(["emergency-stop"]) == 0  # and all modules are loaded
+    for folder in machine.parents[:-1]:
+        folder.chmod(folder.stat().st_mode | 0o011)
+    machine.chmod(0o700)  # as the package's /run/greenhouse for whoever is not in the group
+    os.seteuid(65534)
+    try:
+        code = main(["emergency-stop"])
+    finally:
+        os.seteuid(0)
+    assert code == 1 and "NOT STOPPED" in (said := capsys.readouterr().out) and "Permission denied" in said
+
+
 @pytest.mark.parametrize("variable", [True, False])
 def test_a_rig_is_selected_by_its_name(
     machine: Path, listen: Listen, monkeypatch: pytest.MonkeyPatch, variable: bool
