@@ -70,9 +70,7 @@ class AirRise:
 
     time_s: float | None = None  # of the last look; None: without a good reading since
     air_c: float = 0.0
-    highest_c: float = (
-        -math.inf
-    )  # of the last two looks, with the heat between: what an open lid cooled comes back at once
+    highest_c: float = -math.inf  # of the last two looks, with the heat between: a lid may have hidden it
     rate_k_s: float = 0.0
     fastest_k_s: float = 0.0  # without what was lost meanwhile, which `holds` tells
     holds: float = 0.0  # mean heater duty that would have kept the air where it was
@@ -180,7 +178,5 @@ def _fan_switches(before: Command, sent: Command, view: SafetyView) -> tuple[flo
 
 def survives_as(memory: SafetyMemory, other: SafetyMemory) -> bool:
     """Return True where both leave the same behind for the next process, but for minutes of heat."""
-    first, second = (
-        (m.trips, m.doses, m.heat[-1][0] if m.heat else None, m.air_doubt) for m in (memory, other)
-    )
-    return first == second
+    left = [(m.trips, m.doses, m.heat[-1:] and m.heat[-1][0], m.air_doubt) for m in (memory, other)]
+    return left[0] == left[1]

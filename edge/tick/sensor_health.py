@@ -119,9 +119,7 @@ class SensorHealth:
         ]
 
     def _doubt_air(self, fell_from: float | None, air: Reading, room: Reading, now: float) -> None:
-        """Doubt air that fell at once far below the room, which nothing in the box does. Without a good room
-        sensor the box is the witness: no air falls so far at once.
-        """
+        """Doubt air that fell at once far below the room or, where no one measures it, below what it was."""
         if air.value is None:
             return
         before_c = None if fell_from is None else measurement(self._calibration.temp_air, fell_from)
