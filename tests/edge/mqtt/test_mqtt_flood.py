@@ -21,8 +21,8 @@ from tests.support.virtual_board import virtual_board
 pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]
 
-# Behind a flood it would wait for minutes; how long it does wait: `python -m bench attack`.
-HELD_UP_S = 10.0
+# Behind a flood it would wait for minutes; `python -m bench attack` shows how long it does.
+HELD_UP_S = 30.0
 FLOOD = """
 import sys
 from paho.mqtt.client import Client

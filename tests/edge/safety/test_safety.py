@@ -481,6 +481,11 @@ def test_the_tighter_of_both_bounds_counts():
         # 0.08 K/s without heat, and 0.02 lost, are 0.1 by heat; nothing was needed to hold the air.
         (AirRise(0.0, 27.0, 27.0, 0.0, 0.1, 0.2), 60.0, 31.8,
          AirRise(NOW, 31.8, 31.8, 0.08, 0.1, 0.2 * math.exp(-0.1))),
+        # It falls faster than full heat could lift it: a lid. It rises by more than all heat so far: so too.
+        (AirRise(0.0, 31.8, 31.8, 0.0, 0.1), 60.0, 20.0,
+         AirRise(NOW, 20.0, 31.8, -11.8 / 60.0, 0.09972, -math.expm1(-0.1))),
+        (AirRise(0.0, 27.0, 27.0, 0.0, 0.05, 0.2), 60.0, 36.0,
+         AirRise(NOW, 36.0, 36.0, 0.15, 0.16, 0.2 * math.exp(-0.1))),
         # Without heat it falls as 0.3 of its heat would have lifted it.
         (AirRise(0.0, 31.8, 31.8, 0.0, 0.1), 60.0, 30.0,
          AirRise(NOW, 30.0, 31.8, -0.03, 0.09972, 0.03 / 0.09972 * -math.expm1(-0.1))),
