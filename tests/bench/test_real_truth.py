@@ -12,6 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from bench.real_truth import __main__ as real_truth
+from bench.real_truth import grey
 from bench.real_truth.__main__ import folder_name, is_true, report, write
 from bench.real_truth.logs import LOGS, SHARED, texts
 from bench.real_truth.readers import (
@@ -30,6 +31,7 @@ from bench.real_truth.readers import (
 )
 from bench.reliability import main
 from edge.core.errors import DataError
+from edge.diagnosis.grey_run import GreyRun
 from edge.formats.run_file import read_run
 from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import read_twin_file
@@ -325,3 +327,33 @@ def test_a_place_without_names_draws_an_empty_diagram(tmp_path: Path) -> None:
     (tmp_path / "dev" / "truth").mkdir(parents=True)
     assert main([f"foreign={tmp_path / 'dev'}", "--out", str(tmp_path / "diagram.png")]) == 0
     assert (tmp_path / "diagram.png").stat().st_size > 1000
+
+
+def test_grey_boxes_get_the_rows_of_a_log_and_the_script_gets_the_same(tmp_path: Path) -> None:
+    """A stand-in for the script prints how many files and rows it was given."""
+    text = "time_s,temp_air_c,heater_duty,temp_2_c\n" + "\n".join(
+        f"{10 * k},{20 + k / 100},{k // 60 % 2},19" for k in range(300)
+    )
+    split = replace(KIT, name="a box")
+    whole = replace(split, whole=True)
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import pathlib, sys\n"
+        "files = sorted(pathlib.Path(sys.argv[1]).glob('*.csv'))\n"
+        "rows = sum(line[0] not in '#t' for file in files for line in file.read_text().splitlines())\n"
+        "print(f'{files[0].name}: {len(files)}x{rows} is the simplest within 5 %; held out 0.5 K, with')\n"
+    )
+    by_run, by_time = grey.case(whole, [text] * 3), grey.case(split, [text])
+    assert [len(run.temp) for run in (*by_run.train, *by_run.test)] == [300, 300, 300]
+    assert (by_time.splits, len(by_time.train[0].temp), len(by_time.test[0].temp)) == ([195], 195, 300)
+    assert grey.yardstick(script, by_run, tmp_path / "runs") == ("3x900", 0.5)
+    assert grey.yardstick(script, by_time, tmp_path / "one") == ("1x300", 0.5)
+    assert "validate_from_s: 1950.0" in (tmp_path / "one" / "run.csv").read_text()
+
+
+def test_a_script_that_fails_is_an_error_that_says_why(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text("raise SystemExit('no rows')")
+    run = GreyRun(np.linspace(20.0, 21.0, 50), np.zeros(50))
+    with pytest.raises(DataError, match="no rows"):
+        grey.yardstick(script, grey.GreyCase([run], [run], [30], 10.0, 0.1), tmp_path / "runs")
