@@ -60,7 +60,8 @@ def rigs_of(arguments: argparse.Namespace, hint: str = DEMO_HINT) -> list[Runnin
             return selected
         known = ", ".join(sorted({each.name for each in found})) or "none"
         raise RequestError(f"no rig named {quote(name)} runs on this machine; running: {plain(known, 1000)}")
-    is_here = listens(rig) or any(os.access(place, os.F_OK) for place in (rig, RIG_CONFIG))
+    is_shut = os.access(rig.parent, os.F_OK) and not os.access(rig.parent, os.X_OK)  # to this user
+    is_here = is_shut or any(os.access(place, os.F_OK) for place in (rig, RIG_CONFIG))
     if is_here and all(each.socket != str(rig) for each in found):
         found.insert(0, RunningRig("", str(rig)))
     if not found:

@@ -178,5 +178,5 @@ def _fan_switches(before: Command, sent: Command, view: SafetyView) -> tuple[flo
 
 def survives_as(memory: SafetyMemory, other: SafetyMemory) -> bool:
     """Return True where both leave the same behind for the next process, but for minutes of heat."""
-    left = [(m.trips, m.doses, m.heat[-1:] and m.heat[-1][0], m.air_doubt) for m in (memory, other)]
+    left = [(m.trips, m.doses, m.air_doubt, m.heat[-1][0] if m.heat else None) for m in (memory, other)]
     return left[0] == left[1]

@@ -938,6 +938,14 @@ def test_a_controller_knows_the_largest_duty():
     assert limits.heater_max_duty == pytest.approx(0.6)  # 1 Wh in a minute
 
 
+@pytest.mark.parametrize(
+    ("is_foreign", "why"), [(False, "no link to the board"), (True, "another board is at the port")]
+)
+def test_a_link_that_is_down_is_named_by_its_cause(is_foreign, why):
+    seen = view(link_up=False, is_foreign=is_foreign)
+    assert why in [change.reason for change in judge(HEAT, seen).changes]
+
+
 # Over a restart
 
 
@@ -955,6 +963,7 @@ def test_trips_and_water_outlive_the_process():
         ({"heat": ((NOW - 600.0, 5.0), (NOW, 1.0))}, False),  # every ten minutes of heat
         ({"heat": ((NOW - 600.0, 5.5),), "time_s": NOW, "sent": Command(heater_duty=0.5)}, True),
         ({"heat": ()}, False),
+        ({"air_doubt": AirDoubt(NOW, "", 21.0)}, False),
     ],
 )
 def test_a_change_of_trips_water_or_pieces_of_heat_calls_for_a_save(change, same):
