@@ -109,7 +109,7 @@ def is_true(log: RealLog, name: str) -> bool:
 
 
 def _lines(log: RealLog, found: Mapping[str, Any], run: Mapping[str, Any]) -> list[str]:
-    wrong = " FALSE" if log.main else " ?"  # nobody knows what such a rig has
+    wrong = " FALSE" if log.main else " ?"  # no one knows what such a rig has
     names = [
         f"{item['name']} {item['probability']:.2f}{'' if is_true(log, item['name']) else wrong}"
         for item in found["effects"]

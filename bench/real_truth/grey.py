@@ -1,4 +1,4 @@
-"""python -m bench.real_truth.grey: grey boxes chosen by left-out rows, beside a least-squares script.
+"""python -m bench.real_truth.grey: grey boxes chosen by left-out rows, compared with a script.
 
 The script is `least_squares.py` of the folder `yardstick` that lies beside the checkout: five grey boxes by
 the fit's error alone. It gets the same rows at the same step. `held out` is the error of free runs over what
@@ -127,7 +127,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.real_truth.grey", description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="logs of the folder README")
     parser.add_argument("--repositories", type=Path, default=Path("../repositories"), help="clones of others")
-    parser.add_argument("--yardstick", type=Path, help="least_squares.py, to be run beside it")
+    parser.add_argument("--yardstick", type=Path, help="least_squares.py, to compare with")
     parser.add_argument("--split", choices=("dev", "scored", "kept"), nargs="+", default=["dev", "scored"])
     parser.add_argument("--only", help="logs with this in their names")
     given = parser.parse_args(words)

@@ -98,14 +98,14 @@ def _best(tried: dict[Terms, Tried], keys: Iterable[Terms]) -> Terms:
 
 def _next(terms: Terms, runs: Sequence[GreyRun]) -> list[Terms]:
     """Return structures with one more term, or another body in the place of one."""
-    moved = {"fan": any(run.fan is not None and np.ptp(run.fan) > 0.0 for run in runs)}
+    fan_moved = any(run.fan is not None and np.ptp(run.fan) > 0.0 for run in runs)
     more = [
         terms | {name}
         for name in RATES
         if name not in terms
         and not (name in BODIES and terms & BODIES)
         and not (name == "dead_time" and "heater_lag" not in terms)
-        and moved.get(name, True)
+        and (name != "fan" or fan_moved)
     ]
     if terms & BODIES:
         more += [terms - BODIES | {body} for body in sorted(BODIES - terms)]

@@ -190,12 +190,9 @@ class GreyBox:
 
     def start_of(self, run: GreyRun) -> Floats:
         """Return the start of a run that no fit saw: in balance with its first readings."""
-        return self._prior(run)[0]
-
-    def _prior(self, run: GreyRun) -> tuple[Floats, Floats]:
         rooms = [start[-1] for start in self.starts]
         room_c = float(np.mean(rooms)) if run.room is None and not run.at_rest else _room_of(run)
-        return _balance(self.terms, self.rates, run, room_c)
+        return _balance(self.terms, self.rates, run, room_c)[0]
 
 
 def _room_of(run: GreyRun) -> float:
