@@ -99,13 +99,15 @@ def test_a_renewed_program_keeps_its_configuration(avr_host, tmp_path):
 
 
 def test_a_flash_that_breaks_off_leaves_a_board_that_drives_nothing(avr_host, tmp_path, monkeypatch):
-    monkeypatch.setattr(firmware_file_module, "FLASH_S", 8.0)  # avrdude spins for ever at a dead terminal
     wiring, port = WIRINGS["uno"], tmp_path / "port"
     eeprom = configured(wiring, all_parts(wiring))
     with Arduino(avr_host, "uno", wiring, port, program_of("uno"), eeprom) as arduino:
         for _ in range(TRIES):
             lines = board_tool.flash("uno", str(port), BAUDRATE)
-            with pytest.raises(RequestError, match="the board is stopped and drives nothing"):
+            stopped = pytest.raises(RequestError, match="the board is stopped and drives nothing")
+            with monkeypatch.context() as patch, stopped:
+                # avrdude spins for ever at a dead terminal
+                patch.setattr(firmware_file_module, "FLASH_S", 8.0)
                 for line in lines:
                     if line.startswith("writing 1"):
                         arduino.cut_after = HALF_OF_THE_PROGRAM

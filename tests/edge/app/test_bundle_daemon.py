@@ -27,6 +27,11 @@ def forecasters(folder: Path) -> set[str]:
         return {name for (name,) in history.execute("select distinct predictor from v_forecasts")}
 
 
+def told_of(folder: Path, key: str) -> bool:
+    with closing(sqlite3.connect(folder / "history.db")) as history:
+        return bool(history.execute("select 1 from events where key = ?", [key]).fetchall())
+
+
 def archive(folder: Path, version: str, key: Path) -> Path:
     """The packaged models as another bundle."""
     files = folder / version
@@ -73,6 +78,7 @@ def test_a_bundle_comes_into_use_without_a_missed_tick(
         assert "active: 2.0, on probation" in said("bundle", "--config", config, "activate")
         assert "active: packaged" in said("bundle", "--config", config, "rollback")
         wait_for(lambda: forecasters(tmp_path) == {"arx", "pbm", "lstm", "ham"}, patience_s=60.0)
+        wait_for(lambda: told_of(tmp_path, "bundle.rollback"), patience_s=60.0)
         daemon.send_signal(signal.SIGINT)
         assert daemon.wait(timeout=90.0) == 0
     finally:

@@ -205,7 +205,7 @@ def steps_kept(out: Path) -> int:
     return torch.load(path, weights_only=True)["steps"] if path.exists() else 0
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(300)
 def test_a_learner_that_is_killed_goes_on_and_the_fallback_runs_the_rig_meanwhile(tmp_path):
     folder, out = tmp_path / "rig", tmp_path / "learner"
     folder.mkdir()
