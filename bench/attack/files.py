@@ -225,7 +225,7 @@ KINDS = (
             "fit-arx --train FILE --validate FOLDER/run.csv --out FOLDER/new.json",
             "replay FILE --controller rules",
             "twin simulate FILE --twin FOLDER/twin.yaml",
-            "twin diagnose FILE --twin FOLDER/fit.yaml --out FOLDER/report --json-only --jobs 1",
+            "twin diagnose FILE --twin FOLDER/fit.yaml --out FOLDER/report --json-only",
         ),
     ),
     InputKind(
@@ -246,7 +246,7 @@ KINDS = (
         _yaml,
         (
             "twin simulate FOLDER/run.csv --twin FILE",
-            "twin diagnose FOLDER/run.csv --twin FILE --out FOLDER/report --json-only --jobs 1",
+            "twin diagnose FOLDER/run.csv --twin FILE --out FOLDER/report --json-only",
             "replay FOLDER/run.csv --twin FILE --controller rules",
             "twin adopt FILE --to FOLDER/adopted.yaml",
         ),
@@ -271,7 +271,7 @@ KINDS = (
             "why --history FILE",
             "plot --history FILE --out FOLDER/run.svg",
             "import FOLDER/run.csv --history FILE",
-            "twin diagnose --history FILE --twin FOLDER/fit.yaml --out FOLDER/report --json-only --jobs 1",
+            "twin diagnose --history FILE --twin FOLDER/fit.yaml --out FOLDER/report --json-only",
         ),
     ),
     InputKind("bundle", _bundle, _zip, (f"{VERIFY} FILE", f"{INSTALL} FILE")),

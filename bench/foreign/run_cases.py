@@ -31,7 +31,6 @@ class SolverTask(NamedTuple):
     folder: Path
     out: Path
     limit_s: float
-    jobs: int = 1
 
 
 def run_all(tasks: Sequence[SolverTask], workers: int, dask: str | None = None) -> None:
@@ -59,9 +58,9 @@ def _diagnosis(task: SolverTask) -> dict[str, Any]:
     command = [
         "nice", "-n", "10", sys.executable, "-m", "edge", "twin", "diagnose", *map(str, train),
         "--test", *map(str, tests), "--twin", str(task.folder / "twin.yaml"), "--out", str(task.out),
-        "--jobs", str(task.jobs), "--json-only",
+        "--json-only",
     ]  # fmt: skip
-    # A session of its own: a diagnosis over its time is killed with all its workers.
+    # A session of its own: a diagnosis over its time is killed with all that it began.
     before, begun_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True

@@ -1,12 +1,15 @@
 """python -m bench.real_truth: the diagnosis on logs that other people measured, beside four simple models.
 
-A name is right where what is known of the rig says so, and is not judged where nothing is; an impossible one
-is a store that could not be in the box or a time that the log can't show. Errors are those of free runs over
-what no fit saw [K]. The twin that is given knows volume and heater; its loss and capacity are to be fitted.
+A name is right where what is known of the rig says so, and is not judged where nothing is. Errors are those
+of free runs over what no fit saw [K]. The twin that is given knows volume and heater; its loss and capacity
+are to be fitted. With `--yardstick` the script of the folder `yardstick` that lies beside the checkout gets
+the same rows: five grey boxes by least squares, chosen by the fit's error alone.
 """
 
 import argparse
 import json
+import re
+import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -16,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from bench.foreign.cases import ForeignLog
 from bench.foreign.make import write_text
@@ -24,9 +28,16 @@ from bench.foreign.score import is_alike
 from bench.real_truth.logs import LOGS, RealLog, texts
 from bench.real_truth.readers import Columns
 from edge.core.errors import DataError
+from edge.diagnosis.grey_run import reading_noise_k, rests
+from edge.diagnosis.runs import read_runs
+from edge.twin.twin_file import read_twin_file
 
+Floats = NDArray[np.float64]
 TRAINS = 0.65
 SURE = 0.9
+NO_WORSE = 1.05
+SAID = re.compile(r": (\w+) is the simplest within .* held out ([\d.e+-]+) K")
+SCRIPT_COLUMNS = ("time_s", "temp_air_c", "heater_duty", "temp_ambient_c", "fan_on", "light", "solar_w_m2")
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -34,21 +45,24 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.real_truth", description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="logs of the folder README")
     parser.add_argument("--repositories", type=Path, default=Path("../repositories"), help="clones of others")
-    parser.add_argument("--split", choices=("dev", "scored", "kept"), default="dev")
+    parser.add_argument("--yardstick", type=Path, help="least_squares.py, to compare with")
+    parser.add_argument("--split", choices=("dev", "scored", "kept"), nargs="+", default=["dev"])
     parser.add_argument("--only", help="logs with this in their names")
     parser.add_argument("--out", type=Path, help="keep cases and answers here")
     arguments = parser.parse_args(words)
-    logs = [log for log in LOGS if log.split == arguments.split and (arguments.only or "") in log.name]
+    logs = [log for log in LOGS if log.split in arguments.split and (arguments.only or "") in log.name]
     with tempfile.TemporaryDirectory() as folder:
         out = arguments.out or Path(folder)
-        text = report(logs, out, arguments.data, arguments.repositories)
+        text = report(logs, out, arguments.data, arguments.repositories, arguments.yardstick)
     print(text, end="")
     return 0
 
 
-def report(logs: Sequence[RealLog], out: Path, data: Path, repositories: Path) -> str:
+def report(
+    logs: Sequence[RealLog], out: Path, data: Path, repositories: Path, script: Path | None = None
+) -> str:
     """Cases and answers under `out`; a line a log and what they come to."""
-    lines, found = [], []
+    lines, found, ratios = [], [], []
     for log in logs:
         folder = out / "cases" / folder_name(log)
         answer = out / "answers" / folder.name
@@ -58,7 +72,7 @@ def report(logs: Sequence[RealLog], out: Path, data: Path, repositories: Path) -
             lines.append(f"{log.name}: left out: {error}")
             continue
         with redirect_stdout(sys.stderr):  # how far it is; the table is what is printed
-            run_all([SolverTask(OURS, folder, answer, LIMIT_S, jobs=2)], 1)
+            run_all([SolverTask(OURS, folder, answer, LIMIT_S)], 1)
         path = answer / "diagnosis.json"
         run = json.loads((answer / "run.json").read_text(encoding="utf-8"))
         if not path.exists():
@@ -68,7 +82,64 @@ def report(logs: Sequence[RealLog], out: Path, data: Path, repositories: Path) -
         document = json.loads(path.read_text(encoding="utf-8"))
         found.append((log, document))
         lines += _lines(log, document, run)
-    return "\n".join([*lines, "", *_totals(found)]) + "\n"
+        if script is not None:
+            said, rival_k = yardstick(script, folder, out / "yardstick" / folder.name)
+            ratios.append(_tests(document)["after"] / rival_k)
+            lines.append(f"    script: {said} {rival_k:.3g}, ratio {ratios[-1]:.2f}")
+    return "\n".join([*lines, "", *_totals(found), *_ratios(ratios)]) + "\n"
+
+
+def yardstick(script: Path, case: Path, folder: Path) -> tuple[str, float]:
+    """Return the model that the script chooses and its error over the same rows [K].
+
+    case : as `write` leaves it; folder : for the rows as the script reads them
+    Errors : DataError where it does not answer
+    """
+    train, tests = (sorted(case.glob(f"{role}_*.csv")) for role in ("train", "test"))
+    data = read_runs(train, tests or train, read_twin_file(case / "twin.yaml"))
+    noise_k = reading_noise_k([named.run for named in data.train])
+    folder.mkdir(parents=True, exist_ok=True)
+    runs = [("test", named) for named in data.test]
+    if tests:
+        runs += [("train", named) for named in data.train]
+    rest = all(rests(_seen(named.run.columns["temp_air_c"]), noise_k) for _, named in runs)
+    for i, (role, named) in enumerate(runs):
+        facts = "# at_rest: yes\n" if rest else ""
+        facts += "" if named.from_s is None else f"# validate_from_s: {named.from_s:g}\n"
+        name = "run" if not tests and i == 0 else f"{role}_{i:02}"
+        (folder / f"{name}.csv").write_text(facts + _csv(named.run.columns), encoding="utf-8")
+    command = [sys.executable, str(script), str(folder)]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    said = SAID.search(found.stdout)
+    if said is None:
+        raise DataError(f"{script.name}: {found.stderr.strip().splitlines()[-1:]}")
+    return said[1], float(said[2])
+
+
+def _seen(values: Floats) -> Floats:
+    return values[np.isfinite(values)]
+
+
+def _csv(columns: Mapping[str, Floats]) -> str:
+    """Rows without holes, which the script does not know."""
+    names = [name for name in SCRIPT_COLUMNS if name in columns and np.isfinite(columns[name]).any()]
+    time_s = columns["time_s"]
+    whole = []
+    for name in names:
+        known = np.isfinite(columns[name])
+        whole.append(np.interp(time_s, time_s[known], columns[name][known]))
+    lines = (",".join(f"{value:.8g}" for value in row) for row in np.column_stack(whole))
+    return "\n".join([",".join(names), *lines]) + "\n"
+
+
+def _ratios(ratios: Sequence[float]) -> list[str]:
+    if not ratios:
+        return []
+    mean, kept = float(np.exp(np.mean(np.log(ratios)))), sum(each <= NO_WORSE for each in ratios)
+    return [
+        f"held out by the script's: {mean:.2f} in the geometric mean",
+        f"held out at most {NO_WORSE} of the script's: {kept} of {len(ratios)}",
+    ]
 
 
 def write(log: RealLog, folder: Path, files: Sequence[str]) -> None:

@@ -88,9 +88,7 @@ class Commissioned:
     better: tuple[str, float] | None = None
 
 
-def learn(
-    run: RecordedRun, start: TwinFile, control: ControlSettings, progress: Progress, jobs: int = 1
-) -> Commissioned:
+def learn(run: RecordedRun, start: TwinFile, control: ControlSettings, progress: Progress) -> Commissioned:
     """Fit the twin to the tests and judge it.
 
     start : the box's description, values to be fitted in it
@@ -121,7 +119,7 @@ def learn(
     limit_k = min(ERROR_MAX_K, ERROR_MAX_SHARE * moved_k)
 
     def search(begin: TwinFile) -> tuple[Diagnosis, TwinFile, float]:
-        found = diagnose(begin, runs, progress, COMMISSION, jobs)
+        found = diagnose(begin, runs, progress, COMMISSION)
         return found, *chosen_twin(found, limit_k)
 
     found, chosen, error_k = search_past_steps(file, search)

@@ -346,8 +346,6 @@ class NightlyDiagnosis:
         prune(report.parent)
         self._tell("diagnosis.started", f"the diagnosis of the last {settings.diagnose_since_d:g} days began")
         given = (
-            "--jobs",
-            "1",
             "--history",
             places.history,
             "--since",

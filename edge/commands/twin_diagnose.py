@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from edge.commands.arguments import whole, writing
 from edge.config import loading as config
-from edge.core.processes import processors
 from edge.diagnosis.progress import TerminalProgress
 from edge.diagnosis.report.summary import summary_text
 from edge.formats.atomic_file import make_folder
@@ -95,12 +94,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="configuration file with the next experiment's limits; default: the rig's where there is one",
     )
     parser.add_argument(
-        "--jobs",
-        type=whole(1),
-        default=processors(),
-        help="processes to use; the answer does not depend on it; default: one for each processor",
-    )
-    parser.add_argument(
         "--json-only", action="store_true", help="no pictures: diagnosis.json and the twin alone"
     )
 
@@ -124,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
     with writing(arguments.out):
         make_folder(arguments.out)
     with TerminalProgress() as progress:
-        found = diagnose(file, data, progress, command, arguments.jobs)
+        found = diagnose(file, data, progress, command)
         progress("where it disagrees", 0.96)
         places = locate(found)
         progress("the next experiment", 0.97)

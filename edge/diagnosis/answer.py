@@ -9,6 +9,7 @@ import numpy as np
 
 from edge.core.errors import DataError
 from edge.core.version import __version__
+from edge.diagnosis.depends import Dependence
 from edge.diagnosis.diagnose import Diagnosis, Side
 from edge.diagnosis.diagnosis_document import (
     CandidateEntry,
@@ -23,14 +24,14 @@ from edge.diagnosis.diagnosis_document import (
     ValueEntry,
     WaterfallStep,
 )
-from edge.diagnosis.gap import columns_of, errors, known_errors
+from edge.diagnosis.gap import RunForecast, columns_of, errors, known_errors
+from edge.diagnosis.judge import MissingEffect, interval
 from edge.diagnosis.location import Location
 from edge.diagnosis.report.story import Trace
 from edge.diagnosis.runs import NamedRun
-from edge.diagnosis.search import Round
-from edge.diagnosis.verdict import Coefficient, MissingEffect, interval
+from edge.diagnosis.twin_choice import OPEN, Names
 from edge.twin.effects.library import EFFECTS
-from edge.twin.value import Value
+from edge.twin.value import SDS_95, Value
 
 DIGITS = 6
 
@@ -47,19 +48,22 @@ def answer(
         "gap": {
             "before": {"train": known_errors(found.before.train), "test": errors(found.before.test)},
             "after": {"train": known_errors(found.after.train), "test": errors(found.after.test)},
-            "noise_floor": {"train": found.floor_k[0], "test": found.floor_k[1]},
+            "noise_floor": {
+                "train": found.inputs.noise_k,
+                "test": found.inputs.noise_k if errors(found.before.test) else None,
+            },
         },
         "predictions": {named.name: _prediction(found, i) for i, named in enumerate(found.data.test)},
         "next_experiment": experiment,
         "seconds": round(found.seconds, 2),
         "waterfall": [_step(names, side) for names, side in found.steps],
-        "rounds": [_round(item, found) for item in found.search.rounds],
-        "formula": _formula(found.verdict.formula),
+        "rounds": [_round(beside, found) for beside in _path(found)],
+        "formula": _formula(found.verdict.depends) if found.verdict.kind == "unknown" else None,
         "findings": [
             *located.findings,
             *found.data.notes,
             *found.inputs.notes,
-            *found.judgement.notes,
+            *_contradictions(found),
             *found.data.cannot_tell,
         ],
         "events": located.events,
@@ -69,10 +73,8 @@ def answer(
         "command": command,
         "twin_before": "twin_before.yaml",
         "twin_after": "twin.yaml" if found.is_offered else None,
-        "doubtful": [
-            {"name": item.effect.name, "against": list(item.against)} for item in found.judgement.doubtful
-        ],
-        "provisional": list(found.judgement.provisional),
+        "doubtful": [{"name": item.name, "against": list(item.against)} for item in found.verdict.doubtful],
+        "provisional": [name for name in found.verdict.provisional if name in EFFECTS],
         "values": _values(found),
         "left_out": _left_out(found),
         "against_adopting": list(found.against_adopting),
@@ -88,8 +90,13 @@ def _effect(item: MissingEffect, found: Diagnosis) -> EffectEntry:
         "name": item.name,
         "alternatives": list(item.alternatives),
         "log_odds": item.log_odds,
-        "probability": found.judgement.standings[item.name].probability,
-        "left_out": _told_of(item, found),
+        "probability": item.probability,
+        "left_out": {
+            "gain_nats": item.log_odds,
+            "with_k": item.evidence.with_k,
+            "without_k": item.evidence.without_k,
+            "noise_k": found.inputs.noise_k,
+        },
         "parameters": {
             parameter.name: _parameter(item.parameters[parameter.name], parameter.unit)
             for parameter in effect.parameters
@@ -97,41 +104,50 @@ def _effect(item: MissingEffect, found: Diagnosis) -> EffectEntry:
         "alternative_log_odds": dict(item.alternatives),
         "equation": (inspect.getdoc(effect.add) or "").splitlines()[0],
         "without": effect.without,
-        "at_bound": list(item.at_bound),
     }
 
 
 def _values(found: Diagnosis) -> dict[str, ValueEntry]:
     """Return the fitted values of what the twin file leaves open or uncertain."""
-    fitted, given = found.judgement.handover.fit, found.inputs.file.values()
+    fit, given = found.verdict.handed.fit, found.inputs.given.values()
     own: dict[str, ValueEntry] = {}
-    for i, item in enumerate(fitted.free):
+    for item, x, variance in zip(fit.free, fit.x, np.diag(fit.covariance), strict=True):
         if item.place in given:
-            value = interval(item, float(fitted.coordinates[i]), float(fitted.covariance[i, i]))
+            value = interval(item, float(x), float(variance))
             own[".".join(item.place)] = {"value": value.value, "low": value.low, "high": value.high}
     return own
 
 
-def _told_of(item: MissingEffect, found: Diagnosis) -> dict[str, float | None]:
-    """Return the evidence that left-out rows give for a name."""
-    standing = found.judgement.standings[item.name]
-    return {
-        "gain_nats": standing.gain_nats,
-        "tempered_nats": standing.tempered_nats,
-        "with_k": standing.with_k,
-        "without_k": standing.without_k,
-        "noise_k": standing.noise_k,
-    }
+def _contradictions(found: Diagnosis) -> list[str]:
+    """Return sentences about stated values that the runs contradict, and about what only ratios tell."""
+    given, fit, told = found.inputs.given.values(), found.verdict.handed.fit, list[str]()
+    if given["geometry", "heater_max_w"].fit:
+        told.append(
+            "the heater's power is open, so that only ratios to it can be known: all powers, losses and "
+            "capacities are in proportion to the one that was assumed"
+        )
+    if OPEN not in found.verdict.handed.added:
+        return told
+    for item, x in zip(fit.free, fit.x, strict=True):
+        if item.place not in given or (rel_sd := given[item.place].rel_sd) is None:
+            continue
+        stated = given[item.place].value
+        if abs(item.value(x) / stated - 1.0) > SDS_95 * rel_sd:
+            told.append(
+                f"{'.'.join(item.place)} is {item.value(x):.3g}, where the twin file says "
+                f"{stated:.3g} and to {100.0 * rel_sd:.0f} %"
+            )
+    return told
 
 
 def _left_out(found: Diagnosis) -> LeftOutErrors:
     """Return the errors of free runs over rows that no fit saw."""
-    compared = found.judgement.comparison
+    simple = found.baselines
     return {
-        "given_k": compared.trials[frozenset()].rmse_k,
-        "after_k": found.judgement.handover.rmse_k,
-        "simple_k": dict(compared.simple_k),
-        "test_k": {name: error for name, error in found.test_k.items() if name in compared.simple_k},
+        "given_k": found.choice.tried[frozenset()].left_out_k,
+        "after_k": found.verdict.handed.left_out_k,
+        "simple_k": dict(simple.left_out_k),
+        "test_k": dict(simple.test_k),
     }
 
 
@@ -139,23 +155,14 @@ def _parameter(value: Value, unit: str) -> ParameterEntry:
     return {"value": value.value, "low": value.low, "high": value.high, "unit": unit}
 
 
-def _formula(terms: Sequence[Coefficient]) -> FormulaEntry | None:
+def _formula(terms: Sequence[Dependence]) -> FormulaEntry | None:
     if not terms:
         return None
-    letters = "abcdefgh"
-    reading = "reading: "
-    text = " + ".join(
-        f"{letter} {term.text.removeprefix(reading)}" for letter, term in zip(letters, terms, strict=False)
-    )
-    of_reading = terms[0].text.startswith(reading)
-    return {
-        "text": ("error of the reading = " if of_reading else "Q = ") + text,
-        "terms": [term.text for term in terms],
-        "parameters": {
-            letter: {"value": term.value, "low": term.low, "high": term.high, "unit": term.unit}
-            for letter, term in zip(letters, terms, strict=False)
-        },
+    term = terms[0]
+    parameters: dict[str, ParameterEntry] = {
+        "a": {"value": term.value, "low": None, "high": None, "unit": term.unit}
     }
+    return {"text": f"Q = a {term.text}", "terms": [term.text], "parameters": parameters}
 
 
 def _step(names: tuple[str, ...], side: Side) -> WaterfallStep:
@@ -167,35 +174,61 @@ def _step(names: tuple[str, ...], side: Side) -> WaterfallStep:
     }
 
 
-def _round(item: Round, found: Diagnosis) -> RoundEntry:
-    final = {effect.name for effect in found.verdict.effects}
-    gains = {name: item.gain_nats for name, item in found.judgement.standings.items()}
+def _path(found: Diagnosis) -> list[Names]:
+    """Return the sets from the twin as given to the one that is handed over, name by name."""
+    names = [item.name for item in found.verdict.effects]
+    names += [name for name in found.verdict.provisional if name not in names]
+    return [frozenset(names[:count]) for count in range(len(names) + 1)]
+
+
+def _round(beside: Names, found: Diagnosis) -> RoundEntry:
+    """Return what was tried beside a set."""
+    base, final = found.choice.tried.get(beside), {item.name for item in found.verdict.effects}
     candidates: list[CandidateEntry] = []
-    for tried in item.candidates:
-        kept = tried.name in final
+    for key, tried in found.choice.tried.items():
+        if base is None or len(key) != len(beside) + 1 or not beside < key:
+            continue
+        (name,) = key - beside
+        more, _ = base.behind(tried, found.inputs.noise_k)
+        gain, values = more * len(tried.left_out), len(tried.fit.free) - len(base.fit.free)
         candidates.append(
             {
-                "name": tried.name.removeprefix("~"),
-                "gain_nats": tried.gain_nats,
-                "bic": -2.0 * tried.score_gain,
-                "held_out_gain_nats": gains.get(tried.name),
-                "kept": kept,
-                "why": "in the final set" if kept else _why_not(tried.score_gain, tried.name, found),
+                "name": name.removeprefix("~"),
+                "gain_nats": gain,
+                "bic": values * math.log(len(tried.left_out)) - 2.0 * gain,
+                "held_out_gain_nats": gain,
+                "kept": name in final,
+                "why": "in the final set" if name in final else _why_not(name, gain, found),
             }
         )
-    return {"beside": sorted(name.removeprefix("~") for name in item.beside), "candidates": candidates}
+    known = {item["name"] for item in candidates}
+    for key, (fit, promised_k) in found.choice.screened.items():
+        if base is None or len(key) != len(beside) + 1 or not beside < key:
+            continue
+        (name,) = key - beside
+        if name.removeprefix("~") not in known:
+            gain = len(base.left_out) * math.log(base.left_out_k / max(promised_k, 1e-9))
+            candidates.append(
+                {
+                    "name": name.removeprefix("~"),
+                    "gain_nats": gain,
+                    "bic": (len(fit.free) - len(base.fit.free)) * math.log(len(base.left_out)) - 2.0 * gain,
+                    "held_out_gain_nats": None,
+                    "kept": False,
+                    "why": "a first look promised less than others",
+                }
+            )
+    return {"beside": sorted(name.removeprefix("~") for name in beside), "candidates": candidates}
 
 
-def _why_not(score_gain: float, name: str, found: Diagnosis) -> str:
+def _why_not(name: str, gain: float, found: Diagnosis) -> str:
     for effect in found.verdict.effects:
         if name in effect.alternatives:
             return f"can't be told from {effect.name}"
-    for doubtful in found.judgement.doubtful:
-        if name == doubtful.effect.name:
+    for doubtful in found.verdict.doubtful:
+        if name == doubtful.name:
             return "; ".join(doubtful.against)
-    if score_gain <= 0.0:
-        return "explains less than chance does with so many candidates"
-    return "needless beside what was kept"
+    return "left-out rows are missed by no less" if gain <= 0.0 else "needless beside what was kept"
 
 
 def _prediction(found: Diagnosis, i: int) -> PredictionEntry:
@@ -203,23 +236,22 @@ def _prediction(found: Diagnosis, i: int) -> PredictionEntry:
     return {
         "before": named.at_rows(found.before.test[i].predicted).tolist(),
         "after": named.at_rows(found.after.test[i].predicted).tolist(),
-        "one_step_after": named.at_rows(found.one_step[i]).tolist(),
     }
 
 
 def traces(found: Diagnosis, located: Location) -> tuple[Trace, ...]:
     """Return the series of each run for the report's pictures."""
     pairs = [
-        *zip(found.data.train, found.before.train, found.after.train, strict=True),
+        *zip(found.inputs.train, found.before.train, found.after.train, strict=True),
         *zip(found.data.test, found.before.test, found.after.test, strict=True),
     ]
-    return tuple(
-        _trace(found, located, named, before.predicted, after.predicted) for named, before, after in pairs
-    )
+    return tuple(_trace(found, located, named, before, after) for named, before, after in pairs)
 
 
-def _trace(found: Diagnosis, located: Location, named: NamedRun, before: Any, after: Any) -> Trace:
-    columns = columns_of(named.run, found.inputs.room_of(named))
+def _trace(
+    found: Diagnosis, located: Location, named: NamedRun, before: RunForecast, after: RunForecast
+) -> Trace:
+    columns = columns_of(named.run, after.room_c)
     time_s = named.run.columns["time_s"]
     role = "train" if named.name in found.inputs.names else "test"
     series = {key: _fitting(values, len(time_s)) for key, values in located.series(named.name).items()}
@@ -228,8 +260,8 @@ def _trace(found: Diagnosis, located: Location, named: NamedRun, before: Any, af
         role,
         time_s,
         columns["temp_air"],
-        before,
-        after,
+        before.predicted,
+        after.predicted,
         columns["heater_duty"],
         columns["fan_on"],
         columns["temp_ambient"],

@@ -4,7 +4,6 @@ Each is fitted by least squares to the same rows: the first three over free runs
 (Ljung 1999, System Identification, ch. 10).
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,27 +23,29 @@ ORDERS = (2, 3, 4)
 FAN = {"exhaust": ("fan_effectiveness",), "stirring": ("stirred_loss",)}  # by its role
 
 
-def simple_twins(file: TwinFile, runs: RunBatch) -> dict[str, TwinFile]:
-    """By name, with all values to be fitted. file : for the geometry and the step"""
-    fan = FAN.get(file.fan_role, ()) if np.ptp(runs.fan) > 0.0 else ()
-    sets = {
-        ONE_MASS: (LOSING, STORING, *fan),
-        "heater lag": (LOSING, STORING, *fan, "heater_lag"),
-        "two masses": (LOSING, STORING, *fan, "soil_mass"),
+def simple_sets() -> dict[str, frozenset[str]]:
+    """Return what each simple model has beside one mass, by name."""
+    return {
+        ONE_MASS: frozenset(),
+        "heater lag": frozenset({"heater_lag"}),
+        "two masses": frozenset({"soil_mass"}),
     }
-    return {text: _open(file, names) for text, names in sets.items()}
 
 
-def _open(file: TwinFile, names: Sequence[str]) -> TwinFile:
+def open_file(file: TwinFile, runs: RunBatch) -> TwinFile:
+    """Return one mass, with all values to be fitted from where a file has them."""
+    fan = FAN.get(file.fan_role, ()) if np.ptp(runs.fan) > 0.0 else ()
     effects = {
-        name: {
-            item.name: Value(file.usual(("effects", name, item.name)).start, fit=True)
-            for item in EFFECTS[name].parameters
-        }
-        for name in names
+        name: {item.name: Value(_begin(file, name, item.name), fit=True) for item in EFFECTS[name].parameters}
+        for name in (LOSING, STORING, *fan)
     }
     geometry = {name: Value(value.value) for name, value in file.geometry.items()}
     return replace(file, geometry=geometry, effects=effects)
+
+
+def _begin(file: TwinFile, name: str, parameter: str) -> float:
+    known = file.effects.get(name, {}).get(parameter)
+    return file.usual(("effects", name, parameter)).start if known is None else known.value
 
 
 def arx_weights(order: int, runs: RunBatch, seen: Mask) -> Floats | None:

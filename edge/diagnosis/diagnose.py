@@ -1,7 +1,7 @@
-"""The whole workflow: locate, name, tell rivals apart, add and show."""
+"""The whole workflow: fit, grow, judge, and show the gap before and after."""
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -9,38 +9,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.adopted_twin import AddedEffect, Origin, plain_value, round_value, twin_after
-from edge.diagnosis.baselines import ONE_MASS, arx_errors
+from edge.diagnosis.baselines import ONE_MASS, ORDERS, arx_errors, arx_weights, open_file, simple_sets
 from edge.diagnosis.diagnosis_document import GapErrors
-from edge.diagnosis.formulas import formulas
-from edge.diagnosis.gap import RunForecast, alone, errors, floor_squares, forecast, one_step
-from edge.diagnosis.handover import OPEN, against_adopting
-from edge.diagnosis.innovations import NoiseLevels
-from edge.diagnosis.judgement import DiagnosisJudgement, judge
-from edge.diagnosis.prepare import PreparedRuns, errors_over, prepare, with_rooms
+from edge.diagnosis.events import DOOR, DoorOpening, with_events
+from edge.diagnosis.gap import RunForecast, columns_of, errors, forecasts
+from edge.diagnosis.judge import DiagnosisVerdict, interval, judge, values_of
+from edge.diagnosis.prepare import PreparedRuns, prepare
 from edge.diagnosis.progress import Progress, Stage
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
-from edge.diagnosis.search import Search
-from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.trial import FittedTwin
-from edge.diagnosis.verdict import DiagnosisVerdict, interval, intervals, verdict
+from edge.diagnosis.twin_choice import (
+    OPEN,
+    Names,
+    TriedTwin,
+    TwinChoice,
+    block_squares,
+    candidates_of,
+    folds_of,
+)
+from edge.diagnosis.twin_fit import Begun, FittedTwin, begun
 from edge.twin.draws import CORRELATION, correlation_document
 from edge.twin.effects.library import EFFECTS
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
-# Shares of the time, and steps, as cases of bench/foreign took them.
-SEARCHED, JUDGED = (0.05, 0.3, 10.0), (0.3, 0.95, 3.0)
+PREPARED, SEARCHED = (0.02, 0.2, 10.0), (0.2, 0.9, 6.0)  # shares of the time, and steps
+NO_WORSE = 1.05
+OPENED = next(name for name, effect in EFFECTS.items() if DOOR in effect.offered_with)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Side:
-    """A twin, its noise, and its free runs over the training and the test runs."""
+    """A twin, and its free runs over the training and the test runs."""
 
-    file: TwinFile
-    levels: NoiseLevels
+    fit: FittedTwin
     train: tuple[RunForecast, ...]
     test: tuple[RunForecast, ...]
+
+    @property
+    def file(self) -> TwinFile:
+        """With the values that it runs with."""
+        return _as_known(self.fit.file)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Baselines:
+    """Simple models. left_out_k : errors over left-out rows; test_k : over test runs, none without any [K]"""
+
+    twins: Mapping[str, TriedTwin]
+    left_out_k: Mapping[str, float]
+    test_k: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,122 +68,93 @@ class Diagnosis:
 
     steps : the gap's waterfall, the effects of each and its twin, the first as given
     against_adopting : why the twin that was found should not be adopted, sentences
-    test_k : errors of free runs over the test runs, `before`, `after` and of each baseline; empty without any
-    one_step : each test run predicted a row ahead by the twin after, [rows] [°C]
     """
 
     data: DiagnosisRuns
     inputs: PreparedRuns
-    search: Search
-    judgement: DiagnosisJudgement
-    before: Side
-    after: Side
+    doors: tuple[DoorOpening, ...]
+    choice: TwinChoice
+    verdict: DiagnosisVerdict
     steps: tuple[tuple[tuple[str, ...], Side], ...]
-    floor_k: tuple[float | None, float | None]
+    baselines: Baselines
     adopted: TwinFile
     against_adopting: tuple[str, ...]
-    test_k: Mapping[str, float]
-    one_step: tuple[Floats, ...]
     seconds: float
+
+    @property
+    def before(self) -> Side:
+        """The twin as given, with what it leaves open fitted."""
+        return self.steps[0][1]
+
+    @property
+    def after(self) -> Side:
+        """The twin that is handed over."""
+        return self.steps[-1][1]
 
     @property
     def is_offered(self) -> bool:
         """True if there is a new twin that is worth adopting."""
-        return bool(self.judgement.handover.added) and not self.against_adopting
+        return bool(self.verdict.handed.added) and not self.against_adopting
 
     @property
-    def verdict(self) -> DiagnosisVerdict:
-        """The names that stand."""
-        return self.judgement.verdict
+    def test_k(self) -> dict[str, float]:
+        """Errors over the test runs, `before`, `after` and of each baseline; none without test runs [K]."""
+        found = {}
+        for name, side in (("before", self.before), ("after", self.after)):
+            if (own := errors(side.test)) is not None:
+                found[name] = float(own["rmse_k"] or 0.0)
+        return found | dict(self.baselines.test_k) if found else {}
 
     @property
     def simple_twins(self) -> dict[str, TwinFile]:
         """The fitted baselines that are twins, by name; of their provenance the correlations alone."""
-        return {name: _fitted_twin(item.fit) for name, item in self.judgement.comparison.simple.items()}
+        return {
+            name: _at_step(_known_twin(item.fit), self.inputs.given)
+            for name, item in self.baselines.twins.items()
+        }
 
 
-def _fitted_twin(item: FittedTwin) -> TwinFile:
-    known = {place: Value(round_value(value.value)) for place, value in item.file.values().items()}
-    fitted = {place: plain_value(value) for place, value in _free_values(item).items()}
-    return replace(item.file.with_values(known | fitted), provenance=_correlation(item))
-
-
-def diagnose(
-    file: TwinFile, data: DiagnosisRuns, progress: Progress, command: str, jobs: int = 1
-) -> Diagnosis:
-    """From a twin and runs to what it lacks.
-
-    jobs : processes, which change the time and not the answer
-    Errors : DataError for runs that the twin can't be fitted to
-    """
-    begun = time.monotonic()
-    progress("reading the runs, looking for doors and wrong readings", 0.0)
-    prepared = prepare(file, data)
-    with SideBySide(jobs, prepared.runs.temp.size) as shared:
-        return _diagnosis(prepared, data, progress, command, shared, begun)
-
-
-def _diagnosis(
-    prepared: PreparedRuns,
-    data: DiagnosisRuns,
-    progress: Progress,
-    command: str,
-    shared: SideBySide,
-    begun: float,
-) -> Diagnosis:
-    shapes = formulas(
-        prepared.runs,
-        prepared.expected,
-        prepared.file.sample_s,
-        prepared.file.geometry["heater_max_w"].value,
-    )
-    # Formulas stand in the same search as effects, so that both are judged by one rule.
-    terms = {name: term for name, (_, term) in shapes.items()}
-    search = Search(
-        prepared.file,
-        prepared.runs,
-        Stage(progress, *SEARCHED),
-        prepared.terms,
-        terms,
-        len(prepared.doors),
-        pool=shared,
-    )
-    text_shapes = {name: shape for name, (shape, _) in shapes.items()}
-    found = verdict(search, text_shapes)
-    judging = Stage(progress, *JUDGED)
-    result = judge(search, found, prepared, text_shapes, shared, judging, data.test)
-    progress("free runs before and after", JUDGED[1])
-    known = with_rooms(prepared, found.final.fit.sizes)
-    steps = tuple(_steps(search, result, prepared, data))
-    before, after = steps[0][1], steps[-1][1]
-    train = known.as_fitted()
-    floor = (_floor_k(after, train, after.train, known), _floor_k(after, data.test, after.test, known))
+def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: str) -> Diagnosis:
+    """From a twin and runs to what it lacks. Errors: DataError for runs that the twin can't be fitted to"""
+    begun_s = time.monotonic()
+    prepared = prepare(file, data, Stage(progress, *PREPARED))
+    telling = Stage(progress, *SEARCHED)
+    choice = TwinChoice(prepared.file, prepared.fit_runs, candidates_of(prepared.file, prepared.fit_runs))
+    choice.tell = telling
+    seeds = [(frozenset(item.effects), begun(item.with_them())) for item in prepared.seeds]
+    names = choice.grow([item for item in seeds if item[0] <= set(choice.candidates)])
+    telling("doors and wrong readings")
+    cleaned, doors = with_events(prepared, choice.tried[names].fit)
+    if cleaned is not prepared:
+        again = TwinChoice(cleaned.file, cleaned.fit_runs, candidates_of(cleaned.file, cleaned.fit_runs))
+        again.tell = telling
+        again.attempt([(names, choice.tried[names].fit)])
+        then = again.grow()
+        if OPENED in then or not doors:
+            prepared, choice, names = cleaned, again, then
+        else:
+            doors = ()  # nothing is forecast better with them
+    telling("what has no name")
+    handed = choice.close_gap(names)
+    choice.attempt_from(handed, [handed - {name} for name in names])
+    found = judge(choice, names, handed, {OPENED} if doors else frozenset())
+    progress("free runs before and after", SEARCHED[1])
+    steps = tuple(_steps(choice, found, prepared, data))
+    baselines = _baselines(prepared, data, choice.file)
+    after = steps[-1][1]
     origin = Origin(
         data.data_sha256,
-        {"train": _round_errors(errors(before.train)), "test": _round_errors(errors(before.test))},
+        {"train": _round_errors(errors(steps[0][1].train)), "test": _round_errors(errors(steps[0][1].test))},
         {"train": _round_errors(errors(after.train)), "test": _round_errors(errors(after.test))},
         datetime.now(UTC).isoformat(timespec="seconds"),
         command,
-        {"validity": _validity(known)},
+        {"validity": _validity(prepared)},
     )
-    test_k = _test_k(result, prepared, data, before, after)
-    return Diagnosis(
-        data,
-        known,
-        search,
-        result,
-        before,
-        after,
-        steps,
-        floor,
-        _adopt(prepared.file, result, origin),
-        against_adopting(
-            result.comparison.trials[frozenset()], result.handover, result.comparison.simple_k, test_k
-        ),
-        test_k,
-        tuple(_one_step(after, *pair, known) for pair in zip(data.test, after.test, strict=True)),
-        time.monotonic() - begun,
-    )
+    result = Diagnosis(
+        data, prepared, doors, choice, found, steps, baselines, _adopt(prepared, found, origin), (),
+        time.monotonic() - begun_s,
+    )  # fmt: skip
+    return replace(result, against_adopting=_against(result))
 
 
 def _validity(known: PreparedRuns) -> dict[str, object]:
@@ -179,92 +169,84 @@ def _validity(known: PreparedRuns) -> dict[str, object]:
 
 
 def _steps(
-    search: Search, result: DiagnosisJudgement, prepared: PreparedRuns, data: DiagnosisRuns
+    choice: TwinChoice, found: DiagnosisVerdict, prepared: PreparedRuns, data: DiagnosisRuns
 ) -> Iterator[tuple[tuple[str, ...], Side]]:
-    """One effect after another, names first, each twin with the values that predict."""
-    names = [item.name for item in result.verdict.effects]
-    sets = [(tuple(names[:count]), frozenset(names[:count])) for count in range(len(names) + 1)]
-    if result.handover.added != sets[-1][1]:
-        sets.append(((*names, *result.provisional), result.handover.added))
-    beside = search.sets.base()
-    for added, key in sets:
-        item = result.comparison.trials[key].fit
-        wanted = key - {OPEN}
-        beside = search.sets.fit({wanted: search.sets.as_usual(beside, wanted)})[0]
-        own = with_rooms(prepared, item.sizes)
-        yield added, _side(_settle(item.file, added), beside.fit.trial.levels, data, own)
+    """Yield the twin with one effect after another, names first, and at last the one that is handed over."""
+    names = [item.name for item in found.effects]
+    sets = [tuple(names[:count]) for count in range(len(names) + 1)]
+    if frozenset(sets[-1]) != found.handed.added:
+        sets.append((*names, *found.provisional))
+    choice.attempt_from(found.handed.added, [frozenset(own) for own in sets])
+    for own in sets:
+        fit = choice.tried[frozenset(own)].fit
+        yield own, Side(fit, *(forecasts(fit, runs, prepared) for runs in (prepared.train, data.test)))
 
 
-def _test_k(
-    result: DiagnosisJudgement, prepared: PreparedRuns, data: DiagnosisRuns, before: Side, after: Side
-) -> dict[str, float]:
-    """Errors over the test runs of the twin before and after and of each baseline; none without test runs."""
-    found = {"before": _errors(before.test), "after": _errors(after.test)}
-    for name, item in result.comparison.simple.items():
-        found[name] = [errors_over(data.test, item.fit, prepared)]
-    rooms = with_rooms(prepared, result.comparison.simple[ONE_MASS].fit.sizes)
-    for name, arx in result.comparison.arx.items():
-        found[name] = [
-            _arx_errors(arx.weights, run, guess, rooms.room_of(run))
-            for run, guess in zip(data.test, before.test, strict=True)
-        ]
-    missed = {name: np.concatenate([np.empty(0), *errors]) for name, errors in found.items()}
-    known = {name: errors[~np.isnan(errors)] for name, errors in missed.items()}
-    return {name: float(np.sqrt(np.mean(errors**2))) for name, errors in known.items() if len(errors)}
+def _baselines(prepared: PreparedRuns, data: DiagnosisRuns, file: TwinFile) -> Baselines:
+    """Fit the simple models to the same rows."""
+    runs = prepared.fit_runs
+    choice = TwinChoice(open_file(file, prepared.runs), runs, ())
+    choice.attempt([(frozenset(), begun(choice.file))])
+    sets = simple_sets()
+    starts = [*((names, start) for names, start in _simple_starts(choice, sets, prepared))]
+    choice.attempt(starts)
+    twins = {name: choice.tried[names] for name, names in sets.items()}
+    left_out = {name: item.left_out_k for name, item in twins.items()}
+    tests: dict[str, float] = {}
+    for name, item in twins.items():
+        if (own := errors(forecasts(item.fit, data.test, prepared))) is not None:
+            tests[name] = float(own["rmse_k"] or 0.0)
+    batch, folds = prepared.runs, folds_of(runs)
+    test_runs = forecasts(twins[ONE_MASS].fit, data.test, prepared)
+    for order in ORDERS:
+        missed = np.full(runs.seen.shape, np.nan)
+        for mask, judged in folds:
+            weights = arx_weights(order, batch, mask & runs.seen)
+            rows = judged & runs.seen
+            missed[rows] = arx_errors(weights, batch, _begun_rows(mask, order))[rows]
+        left_out[f"ARX {order}"] = float(np.sqrt(np.mean(block_squares(missed, folds)[0])))
+        if tests:
+            weights = arx_weights(order, batch, runs.seen)
+            known = np.concatenate(
+                [_arx_test(weights, order, *pair) for pair in zip(test_runs, data.test, strict=True)]
+            )
+            tests[f"ARX {order}"] = float(np.sqrt(np.mean(known[np.isfinite(known)] ** 2)))
+    return Baselines(twins, left_out, tests)
 
 
-def _errors(free: Sequence[RunForecast]) -> list[Floats]:
-    return [item.residual for item in free]
+def _begun_rows(mask: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+    """Return the rows that an ARX may know: those that were fitted, and as many as it needs to begin."""
+    seen = mask.copy()
+    seen[:, :order] = True
+    return seen
 
 
-def _arx_errors(weights: Floats | None, run: NamedRun, guess: RunForecast, room_c: Floats) -> Floats:
-    """From the row on that a twin begins from."""
-    arrays = alone(run, guess, room_c)
-    seen = np.zeros(arrays.duty.shape, dtype=bool)
-    seen[:, : guess.start] = True
-    missed = arx_errors(weights, arrays, seen)[0, guess.start :]
-    return np.where(np.isfinite(guess.measured[guess.start + 1 :]), missed, np.nan)
+def _arx_test(weights: Floats | None, order: int, guess: RunForecast, named: NamedRun) -> Floats:
+    """Return an ARX model's errors over a test run, from the row on that a twin is judged from."""
+    first = int(np.isfinite(guess.measured).argmax())
+    inputs = columns_of(named.run, guess.room_c)
+    duty, fan, room = (inputs[name][None, first:-1] for name in ("heater_duty", "fan_on", "temp_ambient"))
+    begin = max(guess.start - first, order)
+    seen = np.zeros(duty.shape, dtype=bool)
+    seen[:, :begin] = True
+    batch = RunBatch(guess.measured[None, first:], duty, fan, room)
+    return np.asarray(arx_errors(weights, batch, seen)[0, begin:])
 
 
-def _side(file: TwinFile, levels: NoiseLevels, data: DiagnosisRuns, known: PreparedRuns) -> Side:
-    twin = file.twin()
-
-    def of(named: NamedRun) -> RunForecast:
-        return forecast(twin, named, known.room_of(named))
-
-    train, test = known.as_fitted(), data.test
-    return Side(file, levels, tuple(of(item) for item in train), tuple(of(item) for item in test))
-
-
-def _one_step(side: Side, named: NamedRun, guess: RunForecast, known: PreparedRuns) -> Floats:
-    single = alone(named, guess, known.room_of(named))
-    return one_step(side.file.twin(), side.levels, single, np.isfinite(guess.measured))
+def _simple_starts(
+    choice: TwinChoice, sets: Mapping[str, Names], prepared: PreparedRuns
+) -> Iterable[tuple[Names, Begun | FittedTwin]]:
+    for names in sets.values():
+        if not names:
+            continue
+        choice.screen([names], frozenset())
+        yield names, choice.screened[names][0]
 
 
-def _floor_k(
-    side: Side, runs: tuple[NamedRun, ...], free: tuple[RunForecast, ...], known: PreparedRuns
-) -> float | None:
-    """Return the error that free runs of a correct twin would have, over the rows behind their starts [K]."""
-    twin, squares = side.file.twin(), []
-    for named, guess in zip(runs, free, strict=True):
-        seen = np.isfinite(guess.measured)
-        seen[: guess.start + 1] = False
-        if seen.any():
-            single = alone(named, guess, known.room_of(named))
-            squares.append(floor_squares(twin, side.levels, single, seen))
-    if not squares:
-        return None
-    floor_k = float(np.sqrt(np.mean(np.concatenate(squares))))
-    # Heat that noise was taken for may be more than what is left: no twin is below its floor.
-    found = errors(free)
-    least_k = found["rmse_k"] if found else None
-    return floor_k if least_k is None else min(floor_k, least_k)
-
-
-def _settle(fitted: TwinFile, names: Sequence[str]) -> TwinFile:
-    """Return the twin with its values as known ones, without the effects that the new ones replace."""
+def _as_known(fitted: TwinFile) -> TwinFile:
+    """Return a twin with its values as known ones, without the effects that others replace."""
     plain = fitted.with_values({place: Value(value.value) for place, value in fitted.values().items()})
-    gone = _replaced_names(names)
+    gone = _replaced_names(plain.effects)
     return replace(plain, effects={name: own for name, own in plain.effects.items() if name not in gone})
 
 
@@ -272,38 +254,68 @@ def _replaced_names(names: Iterable[str]) -> set[str]:
     return {EFFECTS[name].replaces for name in names} - {""}
 
 
-def _adopt(file: TwinFile, result: DiagnosisJudgement, origin: Origin) -> TwinFile:
-    """Return the twin file to adopt: new effects with intervals, and fitted
-    values in the place of open ones.
-    """
-    fitted, names = result.handover.fit, result.handover.added - {OPEN}
+def _adopt(prepared: PreparedRuns, found: DiagnosisVerdict, origin: Origin) -> TwinFile:
+    """Return the twin file to adopt: new effects with intervals, and fitted values in place of open ones."""
+    fit, names = found.handed.fit, found.handed.added - {OPEN}
     gone = _replaced_names(names)
+    file = prepared.file
     kept = replace(file, effects={name: own for name, own in file.effects.items() if name not in gone})
     there = kept.values()
-    refitted = {place: value for place, value in _free_values(fitted).items() if place in there}
+    refitted = {place: value for place, value in _free_values(fit).items() if place in there}
     added = [
-        AddedEffect(effect.name, effect.parameters, tuple(effect.alternatives), effect.log_odds)
-        for effect in result.verdict.effects
+        AddedEffect(item.name, item.parameters, tuple(item.alternatives), item.log_odds)
+        for item in found.effects
     ]
-    added += [AddedEffect(name, intervals(fitted, name)[0]) for name in result.provisional]
-    origin = replace(origin, further={**origin.further, **_correlation(fitted)})
-    return twin_after(kept, added, origin, refitted)
+    added += [AddedEffect(name, values_of(fit, name)) for name in found.provisional if name != OPEN]
+    origin = replace(origin, further={**origin.further, **_correlation(fit)})
+    return _at_step(twin_after(kept, added, origin, refitted), prepared.given)
 
 
-def _free_values(fitted: FittedTwin) -> dict[Place, Value]:
+def _at_step(file: TwinFile, given: TwinFile) -> TwinFile:
+    """Return a twin at the step that it was given with."""
+    return replace(file, sample_s=given.sample_s)
+
+
+def _known_twin(fit: FittedTwin) -> TwinFile:
+    known = {place: Value(round_value(value.value)) for place, value in fit.file.values().items()}
+    fitted = {place: plain_value(value) for place, value in _free_values(fit).items()}
+    return replace(fit.file.with_values(known | fitted), provenance=_correlation(fit))
+
+
+def _free_values(fit: FittedTwin) -> dict[Place, Value]:
     """Return what a fit has moved, with 95 % intervals."""
-    return {
-        unknown.place: interval(unknown, float(x), float(variance))
-        for unknown, x, variance in zip(
-            fitted.free, fitted.coordinates, np.diag(fitted.covariance), strict=False
-        )
-    }
+    pairs = zip(fit.free, fit.x, np.diag(fit.covariance), strict=True)
+    return {item.place: interval(item, float(x), float(variance)) for item, x, variance in pairs}
 
 
-def _correlation(fitted: FittedTwin) -> dict[str, object]:
-    places = [unknown.place for unknown in fitted.free]
-    return {CORRELATION: correlation_document(places, fitted.covariance)} if places else {}
+def _correlation(fit: FittedTwin) -> dict[str, object]:
+    places = [item.place for item in fit.free]
+    return {CORRELATION: correlation_document(places, fit.covariance)} if places else {}
 
 
 def _round_errors(found: GapErrors | None) -> dict[str, object] | None:
     return None if found is None else {"rmse_k": found["rmse_k"], "mae_k": found["mae_k"]}
+
+
+def _against(found: Diagnosis) -> tuple[str, ...]:
+    """Why the twin that was found should not be adopted, sentences; none where it may."""
+    given, handed, said = found.choice.tried[frozenset()], found.verdict.handed, []
+    own_k, test_k = handed.left_out_k, found.test_k
+    # `not a < b`, not `a >= b`: an error that is no number speaks against it too.
+    if not own_k < given.left_out_k:
+        said.append(
+            f"over left-out rows its free runs miss by {own_k:.3g} K, those of the twin as given by "
+            f"{given.left_out_k:.3g} K"
+        )
+    if test_k and not test_k["after"] < test_k["before"]:
+        said.append(
+            f"over the test runs its free runs miss by {test_k['after']:.3g} K, before by "
+            f"{test_k['before']:.3g} K"
+        )
+    best = min(found.baselines.left_out_k, key=found.baselines.left_out_k.__getitem__)
+    if not own_k <= NO_WORSE * found.baselines.left_out_k[best]:
+        said.append(
+            f"over left-out rows {best} misses by {found.baselines.left_out_k[best]:.3g} K, this twin by "
+            f"{own_k:.3g} K"
+        )
+    return tuple(said)

@@ -39,7 +39,7 @@ RATE_SD = 6.0  # of a rate's logarithm about the middle: only what no row tells 
 START_SD_K, ROOM_SD_K, BODY_SD_K = 0.5, 10.0, 10.0
 USUAL_ROOM_C = 24.0  # at most, where no one measured it and the run does not begin at rest
 AT_REST_SD_K = 1.0
-ROUGHLY, FINELY, AGAIN = 8, 60, 12  # evaluations of the Jacobian
+ROUGHLY, FINELY = 8, 60  # evaluations of the Jacobian
 FOLLOWED = 2  # starts that are followed to their ends
 
 
@@ -319,12 +319,6 @@ def fit(
     rough = sorted((problem.descend(x, ROUGHLY) for x in starts), key=lambda item: item[0])
     ends = [problem.descend(x, FINELY) for _, x in rough[:FOLLOWED]]
     return problem.box(min(ends, key=lambda item: item[0])[1])
-
-
-def fit_again(box: GreyBox, runs: Sequence[GreyRun]) -> GreyBox:
-    """Fit the same structure to other runs, from where it is."""
-    problem = _RateSearch(box.terms, runs, box.step_s, box.noise_k)
-    return problem.box(problem.descend(np.log([box.rates[name] for name in problem.names]), AGAIN)[1])
 
 
 def _starts(problem: _RateSearch, near: GreyBox | None) -> Iterator[dict[str, float]]:

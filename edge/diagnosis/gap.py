@@ -8,33 +8,33 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.diagnosis.diagnosis_document import GapErrors, RunErrors
-from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whiten
+from edge.diagnosis.grey_run import reading_noise_k, rests, usual_room_c
+from edge.diagnosis.prepare import PreparedRuns, over_rows
 from edge.diagnosis.runs import NamedRun
-from edge.diagnosis.trial import start_of, start_spread
+from edge.diagnosis.twin_choice import FIRST_ROWS
+from edge.diagnosis.twin_fit import FitRuns, FittedTwin, best_starts
 from edge.formats.run_file import RecordedRun, inside_names
-from edge.twin.linearise import EnsembleRun, linearise, responses
-from edge.twin.model import BoxTwin
 from edge.twin.rollout import Commands
 from edge.twin.run_batch import RunBatch
-from edge.twin.warm_start import PastColumns, hold, state_now
+from edge.twin.twin_file import TwinFile
+from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
-START_ROWS = 10  # of a run that may be known before the forecast begins
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunForecast:
     """A free run of a twin over one run.
 
-    start : the row that it begins from, the last measured one of the first rows
-    measured : [rows] [°C], NaN where the recording has no row
-    predicted : [rows] [°C], as measured up to `start`
+    start : the row that it is judged from; measured : [rows] [°C], NaN where the recording has no row
+    predicted : [rows] [°C]; room_c : [rows], over each row
     """
 
     name: str
     start: int
     measured: Floats
     predicted: Floats
+    room_c: Floats
 
     @property
     def residual(self) -> Floats:
@@ -42,30 +42,99 @@ class RunForecast:
         return (self.measured - self.predicted)[self.start + 1 :]
 
 
-def forecast(twin: BoxTwin, named: NamedRun, room_c: Floats) -> RunForecast:
-    """From the first measured rows of a run on, with the inputs that were recorded.
+def forecasts(fit: FittedTwin, names: Sequence[NamedRun], known: PreparedRuns) -> tuple[RunForecast, ...]:
+    """Run a fitted twin over training or test runs."""
+    return tuple(_forecast(fit, named, known) for named in names)
 
-    room_c : the room temperature over each row, [rows]
+
+def _forecast(fit: FittedTwin, named: NamedRun, known: PreparedRuns) -> RunForecast:
+    """Run a fitted twin over one run.
+
+    A training run begins where its fit has it. Any other begins in balance with its first readings where it
+    rests, or as its rows before the judged part, or its first ones, tell.
     """
+    own = named.rest_of or named.name
+    place = known.names.index(own) if own in known.names else None
+    temp = named.run.columns["temp_air_c"]
+    first, size = int(np.isfinite(temp).argmax()), len(fit.file.twin().states)
+    is_at_rest = rests(temp[np.isfinite(temp)], known.noise_k)
+    if not known.guessed:
+        room_c = over_rows(hold(named.run.columns["temp_ambient_c"])[None])[0]
+    elif place is not None:
+        room_c = np.full(len(temp), fit.starts[place, -1])
+    elif is_at_rest:
+        room_c = np.full(len(temp), usual_room_c(temp, True))
+    else:
+        room_c = np.full(len(temp), float(fit.starts[:, -1].mean()))
     columns = columns_of(named.run, room_c)
-    temp = columns["temp_air"]
-    start = _start_row(temp, named)
-    known = {name: values for name, values in columns.items() if name != "temp_air"}
-    before = {name: values[: start + 1] for name, values in known.items()}
-    past = PastColumns(
-        temp[: start + 1], before["temp_ambient"], before["heater_duty"], before["fan_on"], conditions=before
-    )
-    ahead = {name: values[None, start:-1] for name, values in known.items()}
+    if place is None:
+        state, start = _start(fit.file, named, columns, first, known.noise_k, fit.error_k)
+        shown = _run(fit.file, columns, first, state)
+    else:
+        power, heat = fit.starts[place, size : size + 2]
+        shown = _run(fit.file, columns, first, fit.starts[place, :size], power, heat)
+        start = first
+        if named.from_s is not None:
+            start = max(first, int((named.run.columns["time_s"] < named.from_s).sum()) - 1)
+    measured = np.where(named.recorded, temp, np.nan)
+    if named.name in known.names:  # without readings that were wrong
+        rows = known.runs.temp[known.names.index(named.name)]
+        count = min(len(rows), len(temp) - first)
+        measured[first : first + count][~np.isfinite(rows[:count])] = np.nan
+    return RunForecast(named.name, start, measured, shown, room_c)
+
+
+def predict(file: TwinFile, named: NamedRun, room_c: Floats) -> Floats:
+    """Return a free run of a known twin from the first reading on, [rows] [°C]. room_c : [rows]"""
+    columns = columns_of(named.run, room_c)
+    first = int(np.isfinite(columns["temp_air"]).argmax())
+    noise_k = reading_noise_k([named.run])
+    state, _ = _start(file, named, columns, first, noise_k, noise_k)
+    return _run(file, columns, first, state)
+
+
+def _run(
+    file: TwinFile,
+    columns: dict[str, Floats],
+    first: int,
+    state: Floats,
+    power: float = 0.0,
+    heat: float = 0.0,
+) -> Floats:
+    """power, heat : of this run, off the usual, as shares of the heater's power"""
+    twin = file.twin()
+    ahead = {name: values[None, first:-1] for name, values in columns.items() if name != "temp_air"}
     predicted = twin.rollout(
-        state_now(twin, past),
-        ahead["heater_duty"],
+        state,
+        (1.0 + power) * ahead["heater_duty"],
         ahead["fan_on"],
         ahead["temp_ambient"],
+        heat * twin.geometry.heater_max_w / twin.system.air_capacity_j_k,
         conditions=ahead,
-        before=Commands(past.duty[:-1], past.fan[:-1]),
+        before=Commands(np.zeros(0), np.zeros(0)),
     )[0]
-    measured = np.where(named.recorded, temp, np.nan)
-    return RunForecast(named.name, start, measured, np.concatenate([hold(temp[: start + 1]), predicted]))
+    return np.concatenate([np.full(first, np.nan), state[:1], predicted])
+
+
+def _start(
+    file: TwinFile, named: NamedRun, columns: dict[str, Floats], first: int, noise_k: float, error_k: float
+) -> tuple[Floats, int]:
+    """Return the state of a run's first row, and the last row that told of it."""
+    temp = columns["temp_air"]
+    is_at_rest = rests(temp[np.isfinite(temp)], noise_k)
+    seen = np.isfinite(temp[first + 1 :])
+    if named.from_s is not None:
+        seen &= named.run.columns["time_s"][first + 1 :] < named.from_s
+    elif is_at_rest:
+        seen[:] = False
+    else:
+        seen[FIRST_ROWS:] = False
+    start = first + 1 + int(np.flatnonzero(seen)[-1]) if seen.any() else first
+    inputs = {name: values[None, first:-1] for name, values in columns.items() if name != "temp_air"}
+    duty, fan, room = (inputs[name] for name in ("heater_duty", "fan_on", "temp_ambient"))
+    batch = RunBatch(temp[None, first:], duty, fan, room, inputs)
+    runs = FitRuns(batch, noise_k, np.array([is_at_rest]), room_is_open=False)
+    return best_starts(file, runs, seen[None], error_k)[0], start
 
 
 def columns_of(run: RecordedRun, room_c: Floats) -> dict[str, Floats]:
@@ -77,63 +146,17 @@ def columns_of(run: RecordedRun, room_c: Floats) -> dict[str, Floats]:
     return {name: values if name == "temp_air" else hold(values) for name, values in columns.items()}
 
 
-def _start_row(temp: Floats, named: NamedRun) -> int:
-    """Return the row from which the free run begins. A run with a scored part begins at the last measured row
-    before that part. Any other begins at the last of the first rows that follow the first reading without a
-    hole.
-    """
-    known = np.isfinite(temp)
-    if named.from_s is not None:
-        before = known & (named.run.columns["time_s"] < named.from_s)
-        if before.any():
-            return int(np.flatnonzero(before)[-1])
-    first = int(known.argmax())
-    row = first
-    while row + 1 < min(first + START_ROWS, len(temp) - 1) and known[row + 1]:
-        row += 1
-    return row
-
-
-def alone(named: NamedRun, guess: RunForecast, room_c: Floats) -> RunBatch:
-    """One run as arrays, missing temperatures as in its free run."""
-    columns = columns_of(named.run, room_c)
-    temp = np.where(np.isfinite(columns["temp_air"]), columns["temp_air"], guess.predicted)
-    inputs = {name: values[None, :-1] for name, values in columns.items() if name != "temp_air"}
-    return RunBatch(temp[None], inputs["heater_duty"], inputs["fan_on"], inputs["temp_ambient"], inputs)
-
-
-def one_step(twin: BoxTwin, levels: NoiseLevels, runs: RunBatch, seen: NDArray[np.bool_]) -> Floats:
-    """Predict each row's temperature from all readings before it [rows]. seen : [rows]"""
-    steps = linearise(twin, runs)
-    filters = gains([FilterInput(steps, levels, start_spread(twin, runs), twin.step_s)], seen[None, 1:])
-    shown = responses([EnsembleRun(steps, start_of(twin, runs), steps.driven)])
-    error = runs.temp[None, :, 1:] - shown
-    white = whiten(filters, np.array([0]), error, everywhere=True)[0, 0]
-    return np.concatenate([runs.temp[0, :1], runs.temp[0, 1:] - white * filters.sd[:, 0, 0]])
-
-
-def floor_squares(twin: BoxTwin, levels: NoiseLevels, runs: RunBatch, seen: NDArray[np.bool_]) -> Floats:
-    """Variance of what a free run of the right twin misses by in each measured row of one run [K2].
-
-    Sensor and room noise, unknown heat and mains power, from a start that is known.
-    """
-    steps = linearise(twin, runs)
-    known = FilterInput(steps, levels, np.zeros(len(steps.states)), twin.step_s)
-    filters = gains([known], np.zeros((1, runs.fan.shape[1]), dtype=bool))
-    return np.asarray(filters.sd[seen[1:], 0, 0] ** 2)
-
-
-def known_errors(forecasts: Sequence[RunForecast]) -> GapErrors:
+def known_errors(found: Sequence[RunForecast]) -> GapErrors:
     """Return the errors. Errors : DataError without any measured row to compare with"""
-    found = errors(forecasts)
-    if found is None:
+    every = errors(found)
+    if every is None:
         raise DataError("diagnosis: the training runs have no measured row to compare a free run with")
-    return found
+    return every
 
 
-def errors(forecasts: Sequence[RunForecast]) -> GapErrors | None:
+def errors(found: Sequence[RunForecast]) -> GapErrors | None:
     """Return the errors over all runs and of each, None without any measured row to compare with."""
-    every = [(item.name, item.residual[np.isfinite(item.residual)]) for item in forecasts]
+    every = [(item.name, item.residual[np.isfinite(item.residual)]) for item in found]
     every = [(name, residual) for name, residual in every if len(residual)]
     if not every:
         return None

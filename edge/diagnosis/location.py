@@ -3,14 +3,13 @@ it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import floor, log10
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.diagnose import Diagnosis, Side
 from edge.diagnosis.diagnosis_document import EventEntry, RegimeAfterEntry, RegimeEntry, WhitenessEntry
 from edge.diagnosis.locate.regimes import DisagreementRegime, regimes
@@ -218,17 +217,15 @@ def locate(found: Diagnosis) -> Location:
         _events(found),
         before,
         after,
-        _innovations(found, found.search.sets.base()),
-        _innovations(found, found.verdict.final),
-        found.before.file.sample_s,
+        _innovations(before),
+        _innovations(after),
+        found.inputs.file.sample_s,
     )
 
 
-def _innovations(found: Diagnosis, item: ScoredSet) -> dict[str, Floats]:
-    """In standard deviations, by run, NaN where nothing was measured, with the noise found for the set."""
-    measured = np.isfinite(found.inputs.runs.temp[:, 1:])
-    values = np.where(measured, item.fit.innovations, np.nan)
-    return dict(zip(found.inputs.names, values, strict=True))
+def _innovations(every: Mapping[str, Residuals]) -> dict[str, Floats]:
+    """In standard deviations, by run, NaN where nothing was measured."""
+    return {name: item.one_step_k / item.innovation_sd for name, item in every.items()}
 
 
 def _afterwards(
@@ -248,8 +245,12 @@ def _afterwards(
 
 def _residuals(found: Diagnosis, side: Side) -> dict[str, Residuals]:
     """By run; none of a twin that is so far off that its filter has no sense."""
+    known = found.inputs
+    runs = known.runs
+    if known.guessed:
+        runs = replace(runs, ambient=np.repeat(side.fit.starts[:, -1:], runs.duty.shape[1], axis=1))
     try:
-        every = residuals_of(side.file.twin(), found.inputs.runs, found.inputs.names, side.levels.sensor_k)
+        every = residuals_of(side.fit.file.twin(), runs, known.names, known.noise_k)
     except (DataError, np.linalg.LinAlgError):
         return {}
     return {item.name: item for item in every if np.isfinite(item.heat_w).any()}
@@ -258,7 +259,7 @@ def _residuals(found: Diagnosis, side: Side) -> dict[str, Residuals]:
 def _events(found: Diagnosis) -> list[EventEntry]:
     return [
         {"run": door.run, "from_s": door.from_s, "to_s": door.to_s, "kind": "door", "heat_w": door.heat_w}
-        for door in found.inputs.doors
+        for door in found.doors
     ]
 
 

@@ -24,7 +24,7 @@ from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.experiment.design import next_experiment
 from edge.diagnosis.experiment.document import experiment_document
 from edge.diagnosis.experiment.sequence import ExperimentLimits
-from edge.diagnosis.gap import forecast
+from edge.diagnosis.gap import predict
 from edge.diagnosis.location import Location, locate
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.report.page import PAGE_NAME, write_report
@@ -101,7 +101,7 @@ class Twin:
         if "temp_ambient_c" not in content.columns:
             raise DataError(f"{run.name}: temp_ambient_c: missing, a prediction needs it")
         named = NamedRun(run.name, content, run.content.columns["time_s"])
-        return named.at_rows(forecast(self.file.twin(), named, content.columns["temp_ambient_c"]).predicted)
+        return named.at_rows(predict(self.file, named, content.columns["temp_ambient_c"]))
 
     def _repr_html_(self) -> str:
         rows = [(".".join(place), str(value.document())) for place, value in self.file.values().items()]
@@ -153,20 +153,18 @@ def diagnose(
     twin: Twin,
     runs: Sequence[Run],
     tests: Sequence[Run] = (),
-    jobs: int = 1,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
     """Find where a twin disagrees with recordings, name the missing effect, and fit the twin with it.
 
     runs : to fit on; tests : to judge by, which may be empty
-    jobs : processes, which change the time and not the answer
     progress : is told what is done now, and the share that is done by then
     Errors : DataError naming a run and its column
     """
     data = diagnosis_runs(
         [(run.name, _complete(run)) for run in runs], [(run.name, _complete(run)) for run in tests], twin.file
     )
-    found = workflow.diagnose(twin.file, data, progress or _silent, "edge.diagnose", jobs)
+    found = workflow.diagnose(twin.file, data, progress or _silent, "edge.diagnose")
     places = locate(found)
     experiment = next_experiment(found, ExperimentLimits(heater_w=twin.file.geometry["heater_max_w"].value))
     planned = None if experiment is None else experiment_document(experiment)

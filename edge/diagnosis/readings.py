@@ -8,12 +8,8 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.core.names import SIGNALS
-from edge.diagnosis.fitting import fit
-from edge.diagnosis.innovations import FilterInput, gains, whiten
-from edge.diagnosis.trial import FittedTwin, start_of, start_spread
 from edge.formats.number_table import NumberTable
 from edge.formats.run_file import RecordedRun, run_of
-from edge.twin.linearise import EnsembleRun, linearise, responses
 from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import hold
 
@@ -104,10 +100,10 @@ def _question(value: float, high: float) -> str:
 
 Mask = NDArray[np.bool_]
 SPIKE_SDS, SPIKE_K = 6.0, 1.5  # a reading this far from both neighbours, which agree, is no temperature
+FIRST_AGREE = 0.1  # of how far a first reading is off, that the next two may be apart
 MOSTLY_DIFFERENT, BY_CHANCE = 0.5, 1e-4  # shares of readings: that repeat the last; that are called stuck
 LEAST_ROWS = 30  # beside a stretch, that tell how readings usually are
 AFTER_CHANGE = 0.2  # share of a change in one direction alone
-FIRST_AGREE, FIRST_NATS = 0.5, 20.0  # the same of a run's first reading, and what beginning later must gain
 DUTY_JUMP_K, FAN_JUMP_K = 20.0, 10.0  # more than the air changes in a row by all the heat, or by the fan
 
 
@@ -144,6 +140,16 @@ def _worst(readings: Floats, runs: RunBatch) -> Mask:
     return found
 
 
+def wrong_first(readings: Floats) -> Mask:
+    """Return the runs whose first reading stands alone: far from the next two, which agree [B].
+
+    readings : [B, N + 1]
+    """
+    temp = np.stack([hold(row[::-1])[::-1] for row in readings[:, :4]])
+    off = np.abs(temp[:, 1] - temp[:, 0])
+    return np.asarray((off > SPIKE_K) & (np.abs(temp[:, 2] - temp[:, 1]) < FIRST_AGREE * off))
+
+
 def stuck_readings(runs: RunBatch) -> Mask:
     """Return the readings that repeat for longer than chance allows,
     without the first of each stretch, [B, N + 1].
@@ -172,44 +178,3 @@ def _stretches(same: Mask) -> Iterator[tuple[int, int, int]]:
     for i, row in enumerate(same):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
         yield from ((i, int(first), int(end)) for first, end in zip(edges[::2], edges[1::2], strict=True))
-
-
-def wrong_starts(found: FittedTwin, runs: RunBatch) -> Mask:
-    """Return the runs whose first reading stands alone and which the twin
-    explains far better from the next row on [B].
-    """
-    temp = np.stack([hold(row[::-1])[::-1] for row in runs.temp[:, :4]])
-    off = np.abs(temp[:, 1] - temp[:, 0])
-    alone = (off > SPIKE_K) & (np.abs(temp[:, 2] - temp[:, 1]) < FIRST_AGREE * off)
-    if not alone.any():
-        return alone
-    later = RunBatch(
-        temp=np.concatenate([temp[:, 1:2], runs.temp[:, 2:]], axis=1),
-        duty=runs.duty[:, 1:],
-        fan=runs.fan[:, 1:],
-        ambient=runs.ambient[:, 1:],
-        conditions={name: column[:, 1:] for name, column in runs.conditions.items()},
-    )
-    trial = replace(found.trial, file=found.file, free=())
-    terms = tuple(replace(term, shape=term.shape[1:]) for term in trial.nuisances)
-    [whole], [rest] = fit([trial], runs, 0), fit([replace(trial, nuisances=terms)], later, 0)
-    squares = [(item.innovations**2).sum(axis=1) for item in (whole, rest)]
-    return np.asarray(alone & (0.5 * (squares[0] - squares[1]) > FIRST_NATS))
-
-
-def expected_readings(found: FittedTwin, runs: RunBatch) -> Floats:
-    """Each temperature as the twin expected it from all before, [B, N + 1]: without its reading's noise."""
-    twin = found.file.twin()
-    steps = linearise(twin, runs)
-    terms = found.trial.nuisances
-    shown = responses(
-        [EnsembleRun(steps, start_of(twin, runs), steps.driven), *(term.response(steps) for term in terms)]
-    )
-    for i, term in enumerate(terms):
-        shown[0] += found.sizes[i] * (term.shape.T if term.of_reading else shown[1 + i])
-    measured = runs.measured
-    filters = gains([FilterInput(steps, found.trial.levels, start_spread(twin, runs), twin.step_s)], measured)
-    filled = np.where(measured, runs.temp[:, 1:], shown[0])
-    white = whiten(filters, np.array([0]), filled[None] - shown[:1], everywhere=True)[0]
-    predicted = filled - white * filters.sd[:, 0].T
-    return np.concatenate([runs.temp[:, :1], predicted], axis=1)

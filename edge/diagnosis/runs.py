@@ -105,9 +105,10 @@ def _note(runs: Sequence[RecordedRun]) -> str:
 
 
 USABLE_ROWS = 30  # with a temperature, of all training runs together
+FEWEST_STEPS = 5  # of the twin, that all runs last: minutes may have been taken for seconds
 PIECE_ROWS = 5  # with a temperature: in fewer, the start takes all that a piece tells
 FROM_S = "validate_from_s"
-COARSEST = 1.5  # rows of a training run, in steps of the twin
+LONGEST_ROWS, ROWS_MAX = 3000, 24_000  # of a run, and of all together: more cost time and tell little
 _COLUMN = {name: key for key, name in CONDITIONS.items()}
 
 Floats = NDArray[np.float64]
@@ -161,6 +162,7 @@ class DiagnosisRuns:
     told : what was done to the recordings, sentences
     cannot_tell : what they don't tell whatever is computed from them, sentences
     data_sha256 : of the training recordings' numbers as they were read
+    step_s : at which they are, whatever that of the twin is
     """
 
     train: tuple[NamedRun, ...]
@@ -168,6 +170,7 @@ class DiagnosisRuns:
     notes: tuple[str, ...]
     cannot_tell: tuple[str, ...]
     data_sha256: str
+    step_s: float
 
 
 def read_runs(
@@ -218,20 +221,30 @@ def diagnosis_runs(
     train, test, two_sensors = average(train, test)
     fitted = [(name, _until_validation(run)) for name, run in train]
     _check_columns([run for _, run in fitted], [run for _, run in test], twin)
-    for _, run in fitted:
-        _check_period(run, twin.sample_s)
-    notes = [*told, *two_sensors]
-    training = [piece for name, run in fitted for piece in _training_pieces(name, run, twin.sample_s, notes)]
+    notes, step_s = [*told, *two_sensors], usual_step_s([run for _, run in fitted])
+    training = [piece for name, run in fitted for piece in _training_pieces(name, run, step_s, notes)]
     _check_rows([run for _, run in fitted], training, twin.sample_s)
     runs = [piece.run for piece in training]
-    judging = tuple(_whole(name, run, twin.sample_s, rests[name], notes) for name, run in test)
+    judging = tuple(_whole(name, run, step_s, rests[name], notes) for name, run in test)
     return DiagnosisRuns(
         tuple(training),
         judging,
         tuple(notes),
         cannot_tell(runs, {item.name: item.judged_part for item in judging}, len(train)),
         sha256,
+        step_s,
     )
+
+
+def usual_step_s(runs: Sequence[RecordedRun]) -> float:
+    """Return the recordings' own step, or a multiple that leaves few enough rows."""
+    times = [run.columns["time_s"] for run in runs]
+    steps = np.concatenate([np.diff(time_s) for time_s in times])
+    own_s = float(np.median(steps)) if len(steps) else USUAL_STEP_S
+    lengths = [min(float(time_s[-1] - time_s[0]), LONGEST_S) for time_s in times]
+    total_s = sum(float(time_s[-1] - time_s[0]) for time_s in times)
+    rows = max(max(lengths) / own_s / LONGEST_ROWS, total_s / own_s / ROWS_MAX)
+    return own_s * max(1, math.ceil(rows))
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -271,16 +284,6 @@ def _validate_from_s(run: RecordedRun) -> float | None:
         return None if text is None else float(text)
     except ValueError:
         raise DataError(f"{run.path}: {FROM_S}: {text!r} is no number") from None
-
-
-def _check_period(run: RecordedRun, step_s: float) -> None:
-    """Temperatures between two rows would be interpolated: readings that are none, and lags that are none."""
-    usual_s = float(np.median(np.diff(run.columns["time_s"]))) if len(run) > 1 else 0.0
-    if usual_s > COARSEST * step_s:
-        raise DataError(
-            f"{run.path}: time_s: rows are {usual_s:g} s apart, the twin's step is {step_s:g} s; "
-            f"a twin file with sample_s: {usual_s:g} can be told by them"
-        )
 
 
 def _check_columns(train: Sequence[RecordedRun], test: Sequence[RecordedRun], twin: TwinFile) -> None:
@@ -341,7 +344,8 @@ def _at_step(name: str, run: RecordedRun, step_s: float) -> NamedRun:
 def _tell_resampled(name: str, piece: NamedRun, told: list[str]) -> None:
     if len(piece.rows_s) != len(piece.run):
         usual_s = float(np.median(np.diff(piece.rows_s))) if len(piece.rows_s) > 1 else 0.0
-        told.append(f"{name} has rows {usual_s:g} s apart and is resampled to the twin's step")
+        piece_s = float(np.median(np.diff(piece.run.columns["time_s"])))
+        told.append(f"{name} has rows {usual_s:g} s apart and is resampled to {piece_s:g} s")
 
 
 def judged_from(run: RecordedRun, row: int) -> RecordedRun:
@@ -356,12 +360,14 @@ def measured_rows(run: RecordedRun) -> int:
 
 def _check_rows(recordings: Sequence[RecordedRun], training: Sequence[NamedRun], step_s: float) -> None:
     usable = sum(measured_rows(piece.run) for piece in training)
-    if usable >= USABLE_ROWS:
-        return
-    raw = sum(measured_rows(run) for run in recordings)
     place = f"{recordings[0].path}: " if len(recordings) == 1 else ""
-    finer = f" ({raw} in the recordings; is time_s in seconds?)" if raw >= USABLE_ROWS else ""
-    raise DataError(
-        f"{place}{usable} usable rows of {step_s:g} s{finer}: these data can't tell anything, "
-        f"at least {USABLE_ROWS} are needed"
-    )
+    if usable < USABLE_ROWS:
+        raise DataError(
+            f"{place}{usable} usable rows: these data can't tell anything, at least {USABLE_ROWS} are needed"
+        )
+    lasts_s = sum(float(run.columns["time_s"][-1] - run.columns["time_s"][0]) for run in recordings)
+    if lasts_s < FEWEST_STEPS * step_s:
+        raise DataError(
+            f"{place}time_s: the runs last {lasts_s:g} s, less than {FEWEST_STEPS} steps of the twin's "
+            f"{step_s:g} s; is time_s in seconds?"
+        )

@@ -60,7 +60,7 @@ def settle(file: TwinFile) -> TwinFile:
 
 
 Floats = NDArray[np.float64]
-LOG_PRIOR_SD = 2.0  # of what nothing is known but its usual size: a factor of 7 either way
+LOG_PRIOR_SD = 4.0  # of what nothing is known but its usual size
 GEOMETRY_PRIOR_SD = 3.0  # the same for a geometry value that is to be fitted
 LINEAR_PRIOR_SHARE = 0.5  # of the range of a value that may be 0 or negative
 TEMPERATURE_K = 5.0  # of a temperature: its usual value is no measure of how far it may be off
@@ -119,17 +119,19 @@ def _unknown(file: TwinFile, place: Place, value: Value) -> UnknownValue:
         low, high = (share * value.value for share in GEOMETRY_RANGE)
         sd = GEOMETRY_PRIOR_SD if value.rel_sd is None else value.rel_sd
         return UnknownValue(place, low, high, True, 1.0, float(np.log(value.value)), sd)
-    parameter = file.usual(place)
+    parameter = file.scale.possible(EFFECTS[place[1]].parameter(place[2]))
     if parameter.low > 0.0:
         sd = LOG_PRIOR_SD if value.rel_sd is None else value.rel_sd
-        usual = parameter.start if value.fit else value.value
-        return UnknownValue(place, parameter.low, parameter.high, True, 1.0, float(np.log(usual)), sd)
+        begun = min(max(value.value, parameter.low), parameter.high)
+        return UnknownValue(place, parameter.low, parameter.high, True, 1.0, float(np.log(begun)), sd)
+    parameter = replace(file.usual(place), high=parameter.high)
     return _linear(place, value, parameter, file.scale.of(parameter.unit))
 
 
 def _linear(place: Place, value: Value, parameter: EffectParameter, factor: float) -> UnknownValue:
     # A range is never narrower than the table's: in a small box only a small part of it is usual.
-    usual = (parameter.high - parameter.low) * min(1.0, factor)
+    table = EFFECTS[place[1]].parameter(place[2])
+    usual = (table.high - table.low) * min(1.0, factor)
     scale = TEMPERATURE_K if parameter.unit == "°C" else abs(parameter.start) or 0.1 * usual
     if value.rel_sd is None:
         sd = LINEAR_PRIOR_SHARE * usual

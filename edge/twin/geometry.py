@@ -10,10 +10,11 @@ from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 from edge.core.errors import DataError
-from edge.twin.effects.effect import EffectParameter
+from edge.twin.effects.effect import EffectParameter, ParameterKind
 
 USUAL_HEATER_W, USUAL_STEP_S, USUAL_ANSWER_S = 100.0, 60.0, 150.0  # of the paper's box
 SLOWER = 10.0  # or quicker, than its steps tell
+WIDE = 1e4  # times or below the usual range: a metal block in a matchbox, an oven of kilowatts
 # By unit: powers of the two factors.
 POWERS = {
     "W": (1, 0), "W/K": (1, 0), "W/kPa": (1, 0), "m²": (1, 0), "m³/s": (1, 0), "J/K": (1, 1), "s": (0, 1),
@@ -44,7 +45,12 @@ class Scale:
     def possible(self, parameter: EffectParameter) -> EffectParameter:
         """With the widest range that a box of such a heater, recorded in such steps, may have."""
         slow, quick = replace(self, time=self.time * SLOWER), replace(self, time=self.time / SLOWER)
-        return replace(parameter, low=quick.usual(parameter).low, high=slow.usual(parameter).high)
+        low, high = quick.usual(parameter).low, slow.usual(parameter).high
+        if parameter.unit in POWERS or parameter.kind is ParameterKind.AIR_CAPACITIES:
+            if parameter.kind is not ParameterKind.AIR_CAPACITIES:
+                low *= WIDE if low < 0.0 else 1.0 / WIDE
+            high *= WIDE
+        return replace(parameter, low=low, high=high)
 
 
 def scale_of(heater_w: float, step_s: float, answer_s: float | None = None) -> Scale:

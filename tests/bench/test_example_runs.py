@@ -13,12 +13,11 @@ from jsonschema import Draft202012Validator
 from bench.example_diagnosis import EXAMPLE, command, standalone, with_answer
 from bench.make_example_runs import NEW_BOX, RECORDINGS, SINCE
 from edge.__main__ import main
-from edge.diagnosis import candidates
 from edge.diagnosis.diagnosis_file import schema
 from edge.diagnosis.report.page import PAGE_NAME, write_report
 from edge.formats.run_file import read_run
-from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.twin_file import read_twin_file
+from tests.support.simulated_runs import candidates_only
 
 ROOT = Path(__file__).parents[2]
 RUNS = ROOT / EXAMPLE
@@ -33,13 +32,11 @@ HIDDEN = {place.partition(".")[2] for place in SINCE if place.startswith("effect
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The manual's command, without pictures, and with fewer candidates."""
-    few = {name: USUAL_EFFECTS[name] for name in CANDIDATES}
     folder = tmp_path_factory.mktemp("example") / "report"
     train = [str(path) for path in sorted(RUNS.glob("train_*.csv"))]
     words = ["twin", "diagnose", *train, "--test", str(RUNS / "test_1.csv")]
     words += ["--twin", str(RUNS / "twin.yaml"), "--out", str(folder), "--json-only"]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(candidates, "USUAL_EFFECTS", few)
+    with candidates_only(*CANDIDATES):
         assert main(words) == 0
     return folder
 

@@ -12,7 +12,6 @@ import pytest
 from scipy.io import savemat
 
 from bench.real_truth import __main__ as real_truth
-from bench.real_truth import grey
 from bench.real_truth.__main__ import folder_name, is_true, report, write
 from bench.real_truth.logs import LOGS, SHARED, texts
 from bench.real_truth.readers import (
@@ -31,7 +30,6 @@ from bench.real_truth.readers import (
 )
 from bench.reliability import main
 from edge.core.errors import DataError
-from edge.diagnosis.grey_run import GreyRun
 from edge.formats.run_file import read_run
 from edge.twin.effects.library import EFFECTS
 from edge.twin.twin_file import read_twin_file
@@ -329,31 +327,21 @@ def test_a_place_without_names_draws_an_empty_diagram(tmp_path: Path) -> None:
     assert (tmp_path / "diagram.png").stat().st_size > 1000
 
 
-def test_grey_boxes_get_the_rows_of_a_log_and_the_script_gets_the_same(tmp_path: Path) -> None:
-    """A stand-in for the script prints how many files and rows it was given."""
-    text = "time_s,temp_air_c,heater_duty,temp_2_c\n" + "\n".join(
-        f"{10 * k},{20 + k / 100},{k // 60 % 2},19" for k in range(300)
-    )
-    split = replace(KIT, name="a box")
-    whole = replace(split, whole=True)
-    script = tmp_path / "script.py"
-    script.write_text(
-        "import pathlib, sys\n"
-        "files = sorted(pathlib.Path(sys.argv[1]).glob('*.csv'))\n"
-        "rows = sum(line[0] not in '#t' for file in files for line in file.read_text().splitlines())\n"
-        "print(f'{files[0].name}: {len(files)}x{rows} is the simplest within 5 %; held out 0.5 K, with')\n"
-    )
-    by_run, by_time = grey.case(whole, [text] * 3), grey.case(split, [text])
-    assert [len(run.temp) for run in (*by_run.train, *by_run.test)] == [300, 300, 300]
-    assert (by_time.splits, len(by_time.train[0].temp), len(by_time.test[0].temp)) == ([195], 195, 300)
-    assert grey.yardstick(script, by_run, tmp_path / "runs") == ("3x900", 0.5)
-    assert grey.yardstick(script, by_time, tmp_path / "one") == ("1x300", 0.5)
-    assert "validate_from_s: 1950.0" in (tmp_path / "one" / "run.csv").read_text()
+SCRIPT = """import glob, sys
+files = sorted(glob.glob(sys.argv[1] + "/*.csv"))
+rows = sum(1 for line in open(files[0])) - 1
+print(f"x: {len(files)}x{rows} is the simplest within 5 % (1 K); held out 0.5 K")
+"""
 
 
-def test_a_script_that_fails_is_an_error_that_says_why(tmp_path: Path) -> None:
+def test_the_script_gets_the_rows_of_a_case(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
-    script.write_text("raise SystemExit('no rows')")
-    run = GreyRun(np.linspace(20.0, 21.0, 50), np.zeros(50))
-    with pytest.raises(DataError, match="no rows"):
-        grey.yardstick(script, grey.GreyCase([run], [run], [30], 10.0, 0.1), tmp_path / "runs")
+    script.write_text(SCRIPT, encoding="utf-8")
+    text = "time_s,temp_air_c,heater_duty\n" + "\n".join(f"{3 * k},{20 + 0.1 * k},0.5" for k in range(300))
+    for whole, said in ((True, "3x300"), (False, "1x301")):  # the fact that says where judging begins
+        log, folder = replace(KIT, whole=whole, step_s=3.0), tmp_path / said
+        write(log, folder, [text.replace(",0.5", f",0.{5 + k}") for k in range(3 if whole else 1)])
+        assert real_truth.yardstick(script, folder, folder / "script") == (said, 0.5)
+    script.write_text("import sys\nsys.exit('it failed')", encoding="utf-8")
+    with pytest.raises(DataError, match=r"script\.py: \['it failed'\]"):
+        real_truth.yardstick(script, folder, folder / "script")

@@ -13,9 +13,7 @@ from edge.diagnosis.experiment.rivals import RivalPair, Rivals
 from edge.diagnosis.experiment.separation import Separation, separation
 from edge.diagnosis.experiment.sequence import ExperimentLimits
 from edge.diagnosis.experiment.surroundings import surroundings
-from edge.diagnosis.fitting import fit
-from edge.diagnosis.innovations import NoiseLevels
-from edge.diagnosis.trial import FittedTwin, Trial
+from edge.diagnosis.twin_fit import FitRuns, FittedTwin, begun, fit_twins
 from edge.diagnosis.unknowns import with_effect
 from edge.twin.geometry import Geometry
 from edge.twin.model import BoxTwin
@@ -23,7 +21,7 @@ from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from edge.twin.warm_start import at_rest
-from tests.support.simulated_runs import NOISE, STEP_S, coloured_noise
+from tests.support.simulated_runs import NOISE, STEP_S, SimulatedNoise, coloured_noise
 
 Floats = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
@@ -60,7 +58,7 @@ def driven(
     effects: Effects,
     inputs: Sequence[RunInputs],
     seed: int = 0,
-    noise: NoiseLevels = NOISE,
+    noise: SimulatedNoise = NOISE,
     start_c: float = ROOM_C,
 ) -> RunBatch:
     """Runs of a box with these effects, from rest."""
@@ -79,10 +77,15 @@ def driven(
     return RunBatch(shown + noise.sensor_k * draw.standard_normal(shown.shape), duty, fan, room, light)
 
 
+def fit_runs(runs: RunBatch) -> FitRuns:
+    """Runs from rest in a room that was measured, as a fit takes them."""
+    return FitRuns(runs, NOISE.sensor_k, np.ones(len(runs.duty), dtype=bool), room_is_open=False)
+
+
 def fitted(file: TwinFile, runs: RunBatch, name: str) -> FittedTwin:
-    """With one more effect, at its likeliest."""
-    trials = [Trial(start, NOISE) for start in with_effect(file, name)]
-    return max(fit(trials, runs, 12), key=lambda item: item.log_likelihood)
+    """With one more effect, at its best."""
+    starts = [begun(start) for start in with_effect(file, name)]
+    return min(fit_twins(starts, fit_runs(runs), 12), key=lambda item: item.cost)
 
 
 def plan_of(file: TwinFile, runs: RunBatch, names: Sequence[str]) -> Separation:

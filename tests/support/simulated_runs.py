@@ -2,21 +2,18 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.formulas import FormulaShape, formulas
-from edge.diagnosis.innovations import NoiseLevels
-from edge.diagnosis.prepare import prepare
 from edge.diagnosis.runs import DiagnosisRuns, diagnosis_runs
-from edge.diagnosis.search import Search
-from edge.diagnosis.side_by_side import SideBySide
+from edge.diagnosis.twin_choice import candidates_of
+from edge.diagnosis.twin_fit import FitRuns
 from edge.formats.run_file import RecordedRun
-from edge.twin.effects.library import EFFECTS, USUAL_EFFECTS
+from edge.twin.effects.library import EFFECTS
 from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -27,8 +24,25 @@ Effects = Mapping[str, Mapping[str, float]]
 Heat = Callable[[Floats, Floats, Floats], Floats]  # of duty, fan and T - T_amb [rows] [W]
 STEP_S = 60.0
 BOX: Effects = {"wall_loss": {"UA": 4.0}, "extra_capacity": {"kC": 10.0}}
-NOISE = NoiseLevels(sensor_k=0.1, room_k=0.03, heat_w=0.5, heat_tau_s=600.0, power_share=0.01)
-QUIET = NoiseLevels(sensor_k=1e-6, room_k=0.0, heat_w=0.0, heat_tau_s=600.0, power_share=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedNoise:
+    """Noise of a simulated run.
+
+    sensor_k, room_k : of a reading [K]; heat_w, heat_tau_s : of a heat of first order [W], [s]
+    power_share : of a run's heater power
+    """
+
+    sensor_k: float
+    room_k: float
+    heat_w: float
+    heat_tau_s: float
+    power_share: float
+
+
+NOISE = SimulatedNoise(sensor_k=0.1, room_k=0.03, heat_w=0.5, heat_tau_s=600.0, power_share=0.01)
+QUIET = SimulatedNoise(sensor_k=1e-6, room_k=0.0, heat_w=0.0, heat_tau_s=600.0, power_share=0.0)
 
 
 def silent(text: str, share: float = 0.0) -> None:
@@ -37,8 +51,16 @@ def silent(text: str, share: float = 0.0) -> None:
 
 @contextmanager
 def candidates_only(*names: str) -> Iterator[None]:
-    """Let a diagnosis look for these effects alone, where the time for all others would tell nothing."""
-    with patch.dict(USUAL_EFFECTS, {name: EFFECTS[name] for name in names}, clear=True):
+    """Let a diagnosis look for these effects alone, and those that are added while it does.
+
+    The time for all others would tell nothing.
+    """
+    others = EFFECTS.keys() - set(names)
+
+    def few(file: TwinFile, runs: FitRuns) -> list[str]:
+        return [name for name in candidates_of(file, runs) if name not in others]
+
+    with patch("edge.diagnosis.diagnose.candidates_of", few):
         yield
 
 
@@ -47,7 +69,7 @@ def known_effects(effects: Effects = BOX) -> dict[str, dict[str, Value]]:
     return {name: {key: Value(value) for key, value in own.items()} for name, own in effects.items()}
 
 
-def twin_file(effects: Effects = BOX, noise: NoiseLevels = NOISE) -> TwinFile:
+def twin_file(effects: Effects = BOX, noise: SimulatedNoise = NOISE) -> TwinFile:
     """Return a file that knows these effects exactly, and its noise but for its time constant."""
     return TwinFile(
         effects=known_effects(effects),
@@ -60,7 +82,7 @@ def simulate(
     effects: Effects,
     seed: int,
     rows: int = 150,
-    noise: NoiseLevels = NOISE,
+    noise: SimulatedNoise = NOISE,
     further: Heat | None = None,
     fan: bool = True,
 ) -> RecordedRun:
@@ -94,7 +116,7 @@ def simulate(
     return RecordedRun(columns, facts, Path(f"run_{seed:02d}.csv"))
 
 
-def coloured_noise(draw: np.random.Generator, rows: int, noise: NoiseLevels) -> Floats:
+def coloured_noise(draw: np.random.Generator, rows: int, noise: SimulatedNoise) -> Floats:
     """Heat of first order, constant over a row [rows] [W]."""
     decay = np.exp(-STEP_S / noise.heat_tau_s)
     fresh = noise.heat_w * draw.standard_normal(rows)
@@ -109,18 +131,6 @@ def as_diagnosis_runs(
     """Return runs as a diagnosis needs them, by their file names."""
     train, later = ([(str(run.path), run) for run in some] for some in (runs, test))
     return diagnosis_runs(train, later, file or twin_file())
-
-
-def search_over(
-    runs: Sequence[RecordedRun], file: TwinFile | None = None, shared: SideBySide | None = None
-) -> tuple[Search, dict[str, FormulaShape]]:
-    """Return a search as a diagnosis begins it, and the formulas in it."""
-    file = file or twin_file()
-    known = prepare(file, as_diagnosis_runs(runs, file=file))
-    found = formulas(known.runs, known.expected, STEP_S)
-    terms = {name: term for name, (_, term) in found.items()}
-    search = Search(known.file, known.runs, silent, known.terms, terms, pool=shared or SideBySide())
-    return search, {name: shape for name, (shape, _) in found.items()}
 
 
 def change_run(

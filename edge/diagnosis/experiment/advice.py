@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.experiment.families import ExperimentScores
+from edge.diagnosis.experiment.rivals import RIVAL_NATS
 from edge.diagnosis.experiment.separation import Separation
-from edge.diagnosis.search import RIVAL_NATS
 from edge.twin.effects.library import EFFECTS
 from edge.twin.effects.named import FLOW_CHECK, POWER_CHECK
 from edge.twin.twin_file import Place

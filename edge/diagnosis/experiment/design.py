@@ -14,11 +14,10 @@ from edge.diagnosis.experiment.families import (
     evaluate,
     improve,
 )
-from edge.diagnosis.experiment.rivals import RivalPair, Rivals, open_rivals
+from edge.diagnosis.experiment.rivals import RIVAL_NATS, RivalPair, Rivals, open_rivals
 from edge.diagnosis.experiment.separation import Separation, separation
 from edge.diagnosis.experiment.sequence import ExperimentLimits, SequenceInputs
 from edge.diagnosis.experiment.surroundings import surroundings
-from edge.diagnosis.search import RIVAL_NATS
 
 LIKELY = 0.05  # share from which on an effect may well be the true one
 

@@ -10,9 +10,9 @@ import numpy as np
 from edge.diagnosis.diagnosis_document import NextExperiment
 from edge.diagnosis.experiment.advice import ValueCalibration, calibration, checks
 from edge.diagnosis.experiment.experiment import PlannedExperiment
+from edge.diagnosis.experiment.rivals import RIVAL_NATS
 from edge.diagnosis.report.number_text import duration, nats, odds
 from edge.diagnosis.report.wording import join_names
-from edge.diagnosis.search import RIVAL_NATS
 from edge.formats.number_table import write_table
 
 

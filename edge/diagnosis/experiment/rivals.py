@@ -1,16 +1,13 @@
 """Which sets of effects are still open beside the best one, and what is to be told from what."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from edge.diagnosis.candidates import ScoredSet
 from edge.diagnosis.diagnose import Diagnosis
-from edge.diagnosis.formulas import PREFIX
-from edge.diagnosis.trial import FittedTwin
+from edge.diagnosis.twin_fit import FittedTwin
 
-OPEN_NATS = 10.0  # behind the best, within which a rival may still be the truth
+RIVAL_NATS = 3.0  # log odds that leave a question open
 MOST_RIVALS = 5  # the nearest ones
 
 
@@ -47,41 +44,30 @@ class Rivals:
 
 def open_rivals(found: Diagnosis) -> Rivals | None:
     """Return the rivals of all named effects, None where no question is open."""
-    best = found.verdict.final
-    named = [effect.name for effect in found.verdict.effects]
+    names = frozenset(effect.name for effect in found.verdict.effects)
     near = [
-        (name, other, item)
-        for name, items in found.search.rivals(best, named).items()
-        for other, item in _near(items, best, name)
+        (effect.name, other, log_odds)
+        for effect in found.verdict.effects
+        for other, log_odds in effect.alternatives.items()
+        if names - {effect.name} | {other} in found.choice.tried
     ]
-    near = sorted(near, key=lambda entry: -entry[2].likelihood)[:MOST_RIVALS]
-    if not near:
+    near = sorted(near, key=lambda entry: -entry[2])[:MOST_RIVALS]
+    if not near or names not in found.choice.tried:
         return None
-    models, pairs = [best.fit], []
+    models, pairs = [found.choice.tried[names].fit], []
     for effect in found.verdict.effects:
-        members = [(0, effect.name, best)]
-        for place, name, item in near:
+        members = [(0, effect.name, 0.0)]
+        for place, name, log_odds in near:
             if place == effect.name:
-                members.append((len(models), name, item))
-                models.append(item.fit)
+                members.append((len(models), name, log_odds))
+                models.append(found.choice.tried[names - {place} | {name}].fit)
         if len(members) > 1:
             pairs += _pairs(effect.name, members)
     return Rivals(tuple(models), tuple(pairs))
 
 
-def _near(items: Sequence[ScoredSet], best: ScoredSet, name: str) -> list[tuple[str, ScoredSet]]:
-    """Named effects in the place of `name`."""
-    near = []
-    for item in items:
-        (other,) = item.added - (best.added - {name})
-        if item.likelihood >= best.likelihood - OPEN_NATS and not other.startswith(PREFIX):
-            near.append((other, item))
-    return near
-
-
-def _pairs(place: str, members: Sequence[tuple[int, str, ScoredSet]]) -> list[RivalPair]:
-    likelihoods = np.array([item.likelihood for _, _, item in members])
-    odds = np.exp(likelihoods - likelihoods.max())
+def _pairs(place: str, members: list[tuple[int, str, float]]) -> list[RivalPair]:
+    odds = np.exp(np.array([log_odds for _, _, log_odds in members]))
     shares = odds / odds.sum()
     return [
         RivalPair(i, j, name, other, place, float(share), float(share) / (len(members) - 1))

@@ -21,7 +21,7 @@ ROLES: Mapping[Role, str] = {"train": "training runs", "test": "held-out test ru
 NO_GAP = 1.05  # an error of so many noise floors or less is no gap, so no share of it can be closed
 CLEAR = 2.0  # standard errors from 0 from which on a heat has a direction
 NOTHING = "none"
-CLEARLY_LESS = 0.999  # times an error, for a model to be called better: rounding alone is no difference
+CLEARLY_LESS = 0.95  # times an error, for a model to be called better: less is no difference
 ERROR_SHARE = "squared error"  # what a finding that tells where the error lies has in it
 # What findings have in them that nobody may miss: where test runs go beyond, and a second set of values.
 CAUTIONS = ("in another regime", "Other values do as well")

@@ -112,7 +112,7 @@ class Effect:
     taken_apart : sets of effects that it may stand for, tried in its place
     common : rank among effects that most boxes have, which stand in for a name that fails; 0: not one of them
     stands_in : it may be added without being named where much is unexplained
-    must_change : commands that must change in the runs for that
+    must_change : commands without whose change in the runs it can't be told
     counts_days : it counts days from the twin file's `day0_utc`
     gentler : an effect that often follows the data as well and that a plan along the twin's tangent sees
     """

@@ -160,7 +160,7 @@ def test_it_reads_the_history_and_writes_a_report(tmp_path):
         report = tmp_path / "reports" / "2026-07-01_0300"
         assert night.told("diagnosis.done") == f"the diagnosis names wall_loss; report: {report}"
     bounds = f"--since 0.5d --rows {ROWS_MAX}"
-    words = f"twin diagnose --jobs 1 --history {tmp_path}/history.db {bounds} --twin twin.yaml"
+    words = f"twin diagnose --history {tmp_path}/history.db {bounds} --twin twin.yaml"
     niceness, _, called = night.calls[0].partition(" ")
     assert called == f"{words} --out {report}"
     assert int(niceness) == 19

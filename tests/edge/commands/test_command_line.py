@@ -79,7 +79,6 @@ def test_no_command_reads_a_number_without_bounds(command: str) -> None:
         "resend 3 X",
         "twin simulate a.csv --twin t --start-rows X",
         "twin simulate a.csv --twin t --ambient-c X",
-        "twin diagnose a.csv --twin t --out o --jobs X",
         "twin diagnose --twin t --out o --since 1d --test-share X",
         "twin benchmark --per-kind X",
         "twin benchmark --workers X",

@@ -15,6 +15,7 @@ from edge.core.messages import Command, Echo, Event, Reading, ReadingQuality, Se
 from edge.diagnosis.history_runs import history_runs
 from edge.diagnosis.runs import (
     GAP_S,
+    LONGEST_ROWS,
     LONGEST_S,
     PIECE_ROWS,
     USABLE_ROWS,
@@ -94,25 +95,33 @@ def test_a_test_run_may_have_temperatures_in_its_first_rows_only(train: Path, tm
     assert len(read(train, test=[blind]).test[0].run) == 90
 
 
-def test_a_run_of_another_period_is_resampled_and_its_own_rows_are_found_again(tmp_path: Path) -> None:
-    run = box_run(1, rows=300)
-    path = recorded(tmp_path / "fine.csv", run, time_s=10.0 * np.arange(300))
-    runs = read(path)
-    named = runs.train[0]
-    assert len(named.run) == 50  # 0, 60, .. 2940 s; the last row is at 2990 s
-    assert runs.notes == ("fine.csv has rows 10 s apart and is resampled to the twin's step",)
+@pytest.mark.parametrize("step_s", [10.0, 60.0, 600.0])
+def test_rows_keep_their_own_step_whatever_that_of_the_twin_is(train: Path, step_s: float) -> None:
+    runs = read(train, twin=replace(TWIN, sample_s=step_s))
+    assert runs.step_s == 60.0
+    assert len(runs.train[0].run) == 90
+    assert runs.notes == ()
+
+
+def test_runs_of_several_periods_get_one_step_and_their_own_rows_are_found_again(
+    train: Path, tmp_path: Path
+) -> None:
+    fine = recorded(tmp_path / "fine.csv", box_run(1, rows=60), time_s=10.0 * np.arange(60))
+    runs = read(train, fine)  # most rows are 60 s apart
+    named = runs.train[1]
+    assert runs.step_s == 60.0
+    assert len(named.run) == 10  # 0, 60, .. 540 s; the last row is at 590 s
+    assert runs.notes == ("fine.csv has rows 10 s apart and is resampled to 60 s",)
     # A straight line is the same at any period.
-    assert named.at_rows(named.run.columns["time_s"])[:290] == pytest.approx(10.0 * np.arange(290))
+    assert named.at_rows(named.run.columns["time_s"])[:55] == pytest.approx(10.0 * np.arange(55))
 
 
-@pytest.mark.parametrize(("step_s", "refused"), [(60.0, False), (40.0, False), (39.0, True), (10.0, True)])
-def test_rows_much_coarser_than_the_twins_step_are_refused(train: Path, step_s: float, refused: bool) -> None:
-    twin = replace(TWIN, sample_s=step_s)
-    if refused:
-        with pytest.raises(DataError, match="rows are 60 s apart, the twin's step is"):
-            read(train, twin=twin)
-    else:
-        assert read(train, twin=twin).train
+def test_a_long_run_is_thinned_to_what_a_fit_can_take(tmp_path: Path) -> None:
+    rows = 2 * LONGEST_ROWS
+    path = recorded(tmp_path / "long.csv", box_run(1, rows=rows), time_s=10.0 * np.arange(rows))
+    runs = read(path)
+    assert runs.step_s == 20.0
+    assert len(runs.train[0].run) == LONGEST_ROWS
 
 
 def test_a_run_too_short_to_be_of_use_is_left_out_and_that_is_told(train: Path, tmp_path: Path) -> None:
@@ -282,10 +291,13 @@ def test_humidity_is_in_percent(tmp_path: Path, humidity: float, message: str | 
             read(path)
 
 
-def test_time_in_milliseconds_or_minutes_is_guessed(tmp_path: Path) -> None:
+def test_time_in_milliseconds_is_guessed(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"time_s: rows are 60000 s apart, .*is it in milliseconds"):
         read(recorded(tmp_path / "ms.csv", time_s=60_000.0 * np.arange(90)))
-    with pytest.raises(DataError, match=r"min\.csv: 0 usable rows of 60 s .*90 in the rec.*is time_s in sec"):
+
+
+def test_time_in_minutes_is_guessed(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"min\.csv: time_s: the runs last 89 s, .*is time_s in seconds"):
         read(recorded(tmp_path / "min.csv", time_s=np.arange(90)))
 
 
@@ -302,7 +314,7 @@ def test_too_few_rows_are_refused_and_counted(tmp_path: Path, rows: int) -> None
     if rows >= USABLE_ROWS:
         assert len(read(path).train[0].run) == rows
         return
-    with pytest.raises(DataError, match=rf"short\.csv: {rows} usable rows .* at least 30"):
+    with pytest.raises(DataError, match=rf"short\.csv: {rows} usable rows: .* at least 30"):
         read(path)
 
 

@@ -1,28 +1,20 @@
-"""edge/diagnosis/prepare.py, readings.py and nuisances.py: runs made ready to be explained."""
+"""edge/diagnosis/prepare.py, readings.py and events.py: runs made ready to be explained."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from edge.diagnosis import linearisation
-from edge.diagnosis.fitting import fit
-from edge.diagnosis.free_fit import fit_values, free_levels
-from edge.diagnosis.gap import errors, forecast
-from edge.diagnosis.nuisances import (
-    CURVATURE_SD,
-    USUAL_LOSS_W_K,
-    assumed_room,
-    begins_at_rest,
-    still_loss_w_k,
-)
-from edge.diagnosis.prepare import WAYS, PreparedRuns, between, over_rows, prepare, smooth, with_rooms
+from edge.diagnosis.events import DoorOpening, with_events
+from edge.diagnosis.gap import predict
+from edge.diagnosis.grey_run import rests, usual_room_c
+from edge.diagnosis.prepare import PreparedRuns, over_rows, prepare, smooth
 from edge.diagnosis.readings import spikes
-from edge.diagnosis.side_by_side import SideBySide
-from edge.diagnosis.trial import Trial
-from edge.formats.run_file import RecordedRun
+from edge.diagnosis.runs import NamedRun
+from edge.diagnosis.twin_fit import FittedTwin, begun, fit_twins
+from edge.formats.run_file import RecordedRun, cut
 from edge.twin.model import BoxTwin
-from edge.twin.run_batch import RunBatch, batch_runs
+from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
 from tests.support.simulated_runs import (
@@ -31,7 +23,6 @@ from tests.support.simulated_runs import (
     Floats,
     as_diagnosis_runs,
     change_run,
-    known_effects,
     simulate,
     twin_file,
 )
@@ -46,6 +37,18 @@ def recordings() -> list[RecordedRun]:
 
 def prepared(runs: list[RecordedRun], file: TwinFile | None = None) -> PreparedRuns:
     return prepare(file or twin_file(), as_diagnosis_runs(runs, file=file))
+
+
+def fitted(known: PreparedRuns) -> FittedTwin:
+    return fit_twins([begun(known.file)], known.fit_runs, 15)[0]
+
+
+def checked(
+    runs: list[RecordedRun], file: TwinFile | None = None
+) -> tuple[PreparedRuns, tuple[DoorOpening, ...]]:
+    """Runs without wrong readings, and doors that were opened."""
+    known = prepared(runs, file)
+    return with_events(known, fitted(known))
 
 
 def with_readings(run: RecordedRun, added: dict[int, float]) -> RecordedRun:
@@ -82,13 +85,11 @@ def opened(run: RecordedRun) -> tuple[RecordedRun, slice]:
 
 def test_plain_runs_are_taken_as_they_are() -> None:
     runs = recordings()
-    found = prepared(runs)
+    found, doors = checked(runs)
     assert found.names == ("run_01.csv", "run_02.csv", "run_03.csv")
-    assert (found.wrong, found.doors, found.notes, found.guessed) == (0, (), (), False)
+    assert (found.wrong, doors, found.notes, found.guessed) == (0, (), (), False)
     for i, run in enumerate(runs):
         assert (found.runs.temp[i] == run.columns["temp_air_c"]).all()
-        assert (found.as_fitted()[i].run.columns["temp_air_c"] == run.columns["temp_air_c"]).all()
-    assert [term.name for term in found.terms] == ["curved loss"]
 
 
 @pytest.mark.parametrize("more", [6.0, -4.0])
@@ -96,23 +97,19 @@ def test_plain_runs_are_taken_as_they_are() -> None:
 def test_a_reading_that_stands_alone_is_taken_out_wherever_it_is(row: int, more: float) -> None:
     # Run 1 is heated from its first row on, by 2 K a row at first: its first reading matters most.
     runs = recordings()
-    found = prepared([with_readings(runs[0], {row: more}), *runs[1:]])
-    taken = np.isnan(found.as_fitted()[0].run.columns["temp_air_c"])
-    assert np.flatnonzero(taken).tolist() == [row]
+    found, _ = checked([with_readings(runs[0], {row: more}), *runs[1:]])
+    assert np.flatnonzero(np.isnan(found.runs.temp[0])).tolist() == [row]
     assert found.wrong == 1
     assert found.notes == (
         "1 temperature of the training runs can't be what the air had and counted as missing",
     )
-    assert np.isfinite(found.runs.temp[:, 0]).all()
 
 
 def test_several_wrong_readings_are_all_taken_out() -> None:
     runs = recordings()
     bad = [with_readings(runs[0], {0: 8.0, 40: 6.0, 60: -4.0}), with_readings(runs[1], {20: 3.0}), runs[2]]
-    found = prepared(bad)
-    taken = [
-        np.flatnonzero(np.isnan(named.run.columns["temp_air_c"])).tolist() for named in found.as_fitted()
-    ]
+    found, _ = checked(bad)
+    taken = [np.flatnonzero(np.isnan(temp)).tolist() for temp in found.runs.temp]
     assert taken == [[0, 40, 60], [20], []]
     assert found.wrong == 4
     assert found.notes[0].startswith("4 temperatures")
@@ -123,16 +120,14 @@ def test_a_fast_box_that_is_switched_on_and_off_has_no_wrong_readings() -> None:
     bare = {"wall_loss": {"UA": 5.0}}
     duty = np.zeros(ROWS)
     duty[[0, 10, 30, 31, 50]] = 1.0
-    runs = [
-        change_run(simulate(bare, seed, ROWS), heater_duty=duty, fan_on=np.zeros(ROWS)) for seed in (1, 2)
-    ]
     again = []
-    for run in runs:
+    for seed in (1, 2):
+        run = change_run(simulate(bare, seed, ROWS), heater_duty=duty, fan_on=np.zeros(ROWS))
         room = run.columns["temp_ambient_c"]
         temp = BoxTwin(effects=bare).rollout(room[:1], duty[None, :-1], np.zeros((1, ROWS - 1)), room[:-1])[0]
         again.append(change_run(run, temp_air_c=np.concatenate([room[:1], temp])))
     assert max(run.columns["temp_air_c"][1] for run in again) > 35.0
-    assert prepared(again, twin_file(bare)).wrong == 0
+    assert checked(again, twin_file(bare))[0].wrong == 0
 
 
 def lone(off_k: float, duty: Floats | None = None) -> RunBatch:
@@ -166,19 +161,18 @@ def test_a_run_of_nothing_but_holes_has_no_spikes() -> None:
 def test_a_door_is_found_becomes_a_column_and_is_in_the_free_run() -> None:
     runs = recordings()
     first, rows = opened(runs[0])
-    found = prepared([first, *runs[1:]])
-    [door] = found.doors
+    found, [door] = checked([first, *runs[1:]])
     assert (door.run, door.from_row, door.to_row) == ("run_01.csv", rows.start, rows.stop)
     assert np.flatnonzero(found.runs.conditions["door_open"][0]).tolist() == [*range(rows.start, rows.stop)]
     assert not found.runs.conditions["door_open"][1:].any()
-    with_door = BoxTwin(effects={**BOX, "door_opening": {"G_door": DOOR_W_K}})
-    named = found.as_fitted()[0]
-    missed = {}
-    for label, twin in (("closed", BoxTwin(effects=BOX)), ("open", with_door)):
-        missed[label] = errors([forecast(twin, named, found.room_of(named))])
-    assert missed["open"] is not None
-    assert missed["closed"] is not None
-    assert missed["open"]["rmse_k"] < 0.5 * missed["closed"]["rmse_k"]
+    with_door, run = {**BOX, "door_opening": {"G_door": DOOR_W_K}}, found.train[0].run
+    closed, open_ = (missed_k(twin_file(effects), run) for effects in (BOX, with_door))
+    assert open_ < 0.5 * closed
+
+
+def missed_k(file: TwinFile, run: RecordedRun) -> float:
+    shown = predict(file, NamedRun("run", run, run.columns["time_s"]), run.columns["temp_ambient_c"])
+    return float(np.sqrt(np.nanmean((run.columns["temp_air_c"] - shown) ** 2)))
 
 
 def test_a_door_that_was_recorded_is_kept_beside_one_that_was_found() -> None:
@@ -187,7 +181,7 @@ def test_a_door_that_was_recorded_is_kept_beside_one_that_was_found() -> None:
     door = np.zeros(ROWS)
     door[5:8] = 1.0
     listed = [change_run(run, door_open=door if run is runs[1] else np.zeros(ROWS)) for run in runs[1:]]
-    found = prepared([change_run(first, door_open=np.zeros(ROWS)), *listed])
+    found, _ = checked([change_run(first, door_open=np.zeros(ROWS)), *listed])
     assert found.runs.conditions["door_open"][0, rows].all()
     assert np.flatnonzero(found.runs.conditions["door_open"][1]).tolist() == [5, 6, 7]
 
@@ -204,25 +198,7 @@ def test_where_no_room_was_recorded_each_run_has_its_own() -> None:
         runs.append(change_run(run, temp_air_c=np.append(room, temp) + noise, temp_ambient_c=None))
     found = prepared(runs)
     assert found.guessed
-    assert [term.name for term in found.terms] == [f"room of run {i}" for i in (1, 2, 3)]
-    [best] = fit([Trial(found.file, NOISE, found.terms)], found.runs, 1)
-    fitted = with_rooms(found, best.sizes)
-    assert fitted.runs.ambient[:, 0] == pytest.approx(rooms, abs=3.3 * best.size_sds.max())
-    for named, room in zip(fitted.as_fitted(), rooms, strict=True):
-        assert fitted.room_of(named) == pytest.approx(np.full(ROWS, room), abs=3.3 * best.size_sds.max())
-    # A run that had no part begins at rest here, as those did: its room is its first temperature.
-    other = as_diagnosis_runs(runs[:1]).train[0]
-    fresh = replace(other, name="test.csv")
-    assert fitted.room_of(fresh)[0] == pytest.approx(runs[0].columns["temp_air_c"][0], abs=0.5)
-    assert fitted.room_of(fresh).shape == (ROWS,)
-
-
-def test_a_recorded_room_is_smoothed_and_goes_to_test_runs_the_same_way() -> None:
-    runs = recordings()
-    found = prepared(runs)
-    assert found.room in WAYS
-    for i, named in enumerate(found.as_fitted()):
-        assert found.room_of(named)[:-1] == pytest.approx(found.runs.ambient[i], abs=0.05)
+    assert fitted(found).starts[:, -1] == pytest.approx(rooms, abs=0.2)
 
 
 def wandering(noise_k: float) -> tuple[Floats, Floats]:
@@ -248,11 +224,11 @@ def test_a_room_that_is_known_exactly_or_stands_still_stays_as_it_is() -> None:
 
 
 def test_between_two_readings_the_room_is_half_way() -> None:
-    assert between(np.array([[20.0, 22.0, 23.0]])).tolist() == [[21.0, 22.5, 23.0]]
-    assert over_rows(np.full((1, 30), 21.0), "between").tolist() == [[21.0] * 30]
+    assert over_rows(np.array([[20.0, 22.0, 23.0]])).tolist() == [[21.0, 22.5, 23.0]]
+    assert over_rows(np.full((1, 30), 21.0)).tolist() == [[21.0] * 30]
 
 
-# days and losses
+# days, rooms that no one measured, and fits whose twin runs away
 
 
 def test_days_are_counted_from_the_first_run_unless_the_file_says() -> None:
@@ -267,91 +243,48 @@ def test_days_are_counted_from_the_first_run_unless_the_file_says() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effects", "loss_w_k"),
+    ("temps", "room_c", "is_at_rest"),
     [
-        (BOX, 4.0),
-        ({"wall_mass": {"C_w": 6000.0, "G_in": 9.0, "G_out": 7.2}}, 4.0),  # 1 / (1/9 + 1/7.2)
-        ({"infiltration": {"F_inf": 0.002}}, 1.2 * 1005.0 * 0.002),
-        ({"wall_loss": {"UA": 4.0}, "sensor_lag": {"tau_s": 60.0}, "heater_lag": {"tau_h": 60.0}}, 4.0),
-        ({"soil_mass": {"C_s": 5000.0, "G_s": 2.0}}, 0.0),  # nothing leaves the box
-        ({}, 0.0),
+        ([21.0, 21.0, 21.0, 21.0, 30.0, 40.0], 21.0, True),
+        ([50.0, 45.0, 40.0, 30.0, 60.0], 24.0, False),  # in the middle of something
+        ([50.0, 55.0, 60.0, 65.0], 24.0, False),  # warmer than any room
+        ([12.0, 9.0, 6.0, 4.0, 12.0], 8.5, False),  # in a shed
+        ([21.0, 21.0, np.nan, 21.0, 21.0, 40.0], 21.0, True),
     ],
 )
-def test_the_loss_of_a_still_box(effects: dict[str, dict[str, float]], loss_w_k: float) -> None:
-    assert still_loss_w_k(BoxTwin(effects=effects)) == pytest.approx(loss_w_k, rel=1e-6)
-
-
-def test_a_loss_may_bend_by_a_few_percent_of_what_it_is_or_usually_is() -> None:
-    [term] = prepared(recordings()).terms
-    assert term.sd == pytest.approx(CURVATURE_SD * 4.0)
-    lossless = TwinFile(effects=known_effects({"extra_capacity": {"kC": 10.0}}))
-    [usual] = prepared(recordings(), lossless).terms  # its loss is what it lacks
-    assert usual.sd == pytest.approx(CURVATURE_SD * USUAL_LOSS_W_K)
-    uncertain = twin_file().with_values({("effects", "wall_loss", "UA"): Value(4.0, rel_sd=0.1)})
-    assert len(prepared(recordings(), uncertain).terms) == 1
-
-
-def test_what_a_temperature_was_expected_to_be_has_none_of_its_noise() -> None:
-    runs = recordings()
-    found = prepared(runs)
-    noise = found.runs.temp[:, 1:] - found.expected[:, 1:]
-    ahead = np.std(noise)
-    assert 0.9 * NOISE.sensor_k < ahead < 2.0 * NOISE.sensor_k
-    assert np.isfinite(found.expected).all()
-    assert (found.expected[:, 0] == found.runs.temp[:, 0]).all()
-
-
-# runs without a room sensor: what room is assumed; and fits whose twin runs away
-
-
-@pytest.mark.parametrize(
-    ("temps", "room_c", "rests"),
-    [
-        ([21.0, 22.0, 30.0, 40.0], 21.0, True),  # from a room
-        ([23.0, 22.0, 21.5, 30.0], 23.0, True),  # soon after another run
-        ([50.0, 45.0, 40.0, 60.0], 20.0, False),  # in the middle of something
-        ([50.0, 55.0, 60.0, 65.0], 20.0, False),  # warmer than any room
-        ([30.0, 20.0, 9.0, 12.0], 9.0, False),  # in a shed
-        ([np.nan, 21.0, 30.0, 40.0], 21.0, True),
-    ],
-)
-def test_a_run_that_begins_hot_is_in_no_hot_room(temps: list[float], room_c: float, rests: bool) -> None:
-    assert assumed_room(np.array(temps)) == room_c
-    assert begins_at_rest(np.array(temps)) == rests
+def test_a_run_that_begins_hot_is_in_no_hot_room(temps: list[float], room_c: float, is_at_rest: bool) -> None:
+    temp = np.array(temps)
+    assert rests(temp[np.isfinite(temp)], 0.05) == is_at_rest
+    assert usual_room_c(temp, is_at_rest) == room_c
 
 
 def from_the_middle(run: RecordedRun) -> RecordedRun:
     """From where it is hottest of its first rows, of a room that nobody recorded."""
-    begin = int(np.argmax(run.columns["temp_air_c"][:150]))
-    columns = {key: values[begin:] for key, values in run.columns.items() if key != "temp_ambient_c"}
-    columns["time_s"] = columns["time_s"] - columns["time_s"][0]
-    return replace(run, columns=columns, facts={**run.facts, "temp_ambient_c": "none"})
+    later = cut(run, int(np.argmax(run.columns["temp_air_c"][:150])), len(run))
+    return change_run(later, facts={"temp_ambient_c": "none"}, temp_ambient_c=None)
 
 
+@pytest.mark.slow
 def test_the_room_of_a_run_that_begins_hot_is_found() -> None:
-    run = from_the_middle(simulate(BOX, 3, 400))
-    assert not begins_at_rest(run.columns["temp_air_c"])
+    run = from_the_middle(simulate(BOX, 3, 200))
     file = replace(
         twin_file(),
         effects={"wall_loss": {"UA": Value(2.0, fit=True)}, "extra_capacity": {"kC": Value(20.0, fit=True)}},
     )
-    known = prepare(file, as_diagnosis_runs([run], file=file))
-    [found] = fit_values([known.file], known.terms, known.runs, 0.1, SideBySide())
-    room_c = with_rooms(known, found.sizes).runs.ambient[0, 0]
-    assert room_c == pytest.approx(21.0, abs=2.5)
+    known = prepared([run], file)
+    assert not known.rests.any()
+    found = fitted(known)
+    assert found.starts[0, -1] == pytest.approx(21.0, abs=2.5)
     assert found.file.values()["effects", "wall_loss", "UA"].value == pytest.approx(4.0, rel=0.25)
 
 
-def test_a_twin_that_runs_away_is_infinitely_bad_and_ends_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    runs = batch_runs([simulate(BOX, 1, 60)], 60.0)
-    file = replace(
-        twin_file(), effects={**twin_file().effects, "heater_lag": {"tau_h": Value(90.0, fit=True)}}
-    )
-    trial = Trial(file, free_levels(1.0))
-    (sound,) = fit([trial], runs)
-    real = linearisation.responses
-    monkeypatch.setattr(linearisation, "responses", lambda wanted: 1e200 * real(wanted))
-    (lost,) = fit([trial], runs)
-    assert np.isfinite(sound.log_likelihood)
-    assert lost.log_likelihood == -np.inf
-    assert np.isfinite(lost.coordinates).all()
+def test_a_twin_that_runs_away_is_very_bad_and_ends_no_fit() -> None:
+    """Heat that grows by 250 W/K about the air's own temperature."""
+    still = np.zeros(ROWS)
+    temp = 25.0 + 0.1 * np.random.default_rng(1).standard_normal(ROWS)
+    run = change_run(simulate(BOX, 1, ROWS), temp_air_c=temp, heater_duty=still + 0.2, fan_on=still)
+    cold = {"P_x": Value(-100.0, fit=True), "T_x": Value(25.0), "w_x": Value(0.2)}
+    file = replace(twin_file(), effects={**twin_file().effects, "unnamed_heat": cold})
+    (lost,) = fit_twins([begun(file)], prepared([run], file).fit_runs, 0)
+    assert lost.rmse_k > 100.0
+    assert np.isfinite(lost.x).all()

@@ -35,7 +35,7 @@ def report() -> Iterator[Path]:
         run = simulate({**BOX, "heater_lag": {"tau_h": 240.0}}, 1, 420)
         write_run(absence_facts(run), folder / "run.csv")
         write_twin_file(twin_file(), folder / "given.yaml")
-        given = [str(folder / "run.csv"), "--twin", str(folder / "given.yaml"), "--jobs", "1"]
+        given = [str(folder / "run.csv"), "--twin", str(folder / "given.yaml")]
         assert main(["twin", "diagnose", *given, "--out", str(folder / REPORT)]) == 0
         yield folder / REPORT
 

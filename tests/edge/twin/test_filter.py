@@ -1,14 +1,9 @@
-"""edge/twin/filter.py: numbers by hand, many states as one each, and the diagnosis' own form of it."""
+"""edge/twin/filter.py: numbers by hand, and many states as one each."""
 
 import numpy as np
 import pytest
 
-from edge.diagnosis.innovations import FilterInput, NoiseLevels, gains, whiten
 from edge.twin.filter import expectation, predict, symmetric, update, update_many, weigh
-from edge.twin.linearise import linearise
-from edge.twin.model import BoxTwin
-from edge.twin.run_batch import RunBatch
-from edge.twin.warm_start import spread
 
 RNG = np.random.default_rng(2)
 
@@ -94,31 +89,3 @@ def test_where_nothing_is_uncertain_nothing_is_learnt():
     mean, covariance = update(np.ones(2), np.zeros((2, 2)), 5.0, 0.0)
     np.testing.assert_array_equal(mean, [1.0, 1.0])
     np.testing.assert_array_equal(covariance, np.zeros((2, 2)))
-
-
-def test_the_diagnosis_filter_of_many_twins_is_this_one():
-    twin = BoxTwin(effects={"heater_lag": {"tau_h": 120.0}, "sensor_lag": {"tau_s": 45.0}})
-    rows, levels = 30, NoiseLevels(sensor_k=0.15, room_k=0.3, heat_w=3.0, heat_tau_s=400.0, power_share=0.1)
-    duty, fan = RNG.random((1, rows)), RNG.integers(0, 2, (1, rows)).astype(float)
-    runs = RunBatch(np.full((1, rows + 1), 22.0), duty, fan, np.full((1, rows), 21.0))
-    steps, errors = linearise(twin, runs), RNG.normal(size=rows)
-    seen = RNG.random((1, rows)) > 0.2
-    filters = gains([FilterInput(steps, levels, spread(twin), twin.step_s)], seen)
-    white = whiten(filters, np.array([0]), errors[None, None])[0, 0]
-
-    kept, size = np.exp(-twin.step_s / levels.heat_tau_s), len(twin.states)
-    mean = np.zeros(size + 2)  # the twin's states, the unknown heat and the power's share
-    covariance = np.diag([*spread(twin), levels.heat_w, levels.power_share]) ** 2
-    for k in range(rows):
-        matrix = np.diag([*np.zeros(size), kept, 1.0])
-        matrix[:size, :size] = steps.table[steps.index[k, 0]]
-        matrix[:size, size], matrix[:size, size + 1] = steps.heat[k, 0], steps.duty[k, 0]
-        room = np.append(levels.room_k * steps.room[k, 0], [0.0, 0.0])
-        noise = np.outer(room, room)
-        noise[size, size] += levels.heat_w**2 * (1.0 - kept**2)
-        mean, covariance = matrix @ mean, predict(covariance, matrix, noise)
-        reading = errors[k] if seen[0, k] else np.nan
-        innovation, variance = expectation(mean, covariance, reading, levels.sensor_k**2)
-        assert filters.sd[k, 0, 0] == pytest.approx(np.sqrt(variance), rel=1e-9)
-        assert white[k] == pytest.approx(np.nan_to_num(innovation / np.sqrt(variance)), abs=1e-9)
-        mean, covariance = update(mean, covariance, reading, levels.sensor_k**2)

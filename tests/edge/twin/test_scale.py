@@ -100,8 +100,9 @@ def test_a_small_box_may_have_a_small_store_and_a_large_one_a_large_loss() -> No
     small = Geometry(volume_m3=0.0005, heater_max_w=2.0)
     build(small, {"soil_mass": {"C_s": 5.0, "G_s": 0.002}}, 5.0)
     build(Geometry(volume_m3=1.0, heater_max_w=500.0), {"wall_loss": {"UA": 400.0}})
-    with pytest.raises(DataError, match=r"effects\.wall_loss\.UA: 400 is outside 0\.\.100 W/K"):
-        build(Geometry(), {"wall_loss": {"UA": 400.0}})
+    build(Geometry(volume_m3=1e-5), {"extra_capacity": {"kC": 75_000.0}})  # a block of metal
+    with pytest.raises(DataError, match=r"effects\.wall_loss\.UA: 4e\+06 is outside 0\.\.1e\+06 W/K"):
+        build(Geometry(), {"wall_loss": {"UA": 4e6}})
 
 
 def test_what_a_file_does_not_say_begins_where_it_is_usual_in_its_box() -> None:

@@ -9,7 +9,7 @@ from edge.twin.warm_start import at_rest
 STEPS = 30
 MASS = {"C_w": 8000.0, "G_in": 10.0, "G_out": 10.0}  # 1/UA = 1/10 + 1/10
 CONDITIONS = {"light": 0.5, "solar": 300.0, "rel_humidity": 60.0, "utc": 3.0 * 86400.0, "door_open": 0.0}
-WRONG = {"nan": np.nan, "inf": np.inf, "below": -1e9, "above": 1e9}
+WRONG = {"nan": np.nan, "inf": np.inf, "below": -1e15, "above": 1e15}
 
 
 def run(effects, duty, fan, temp=21.0, steps=STEPS, fan_control="relay", **conditions):
