@@ -54,17 +54,11 @@ def _add(file: TwinFile, name: str, values: Values) -> TwinFile:
     )
 
 
-def settle(file: TwinFile) -> TwinFile:
-    """Return the file with fixed values."""
-    return file.with_values({place: Value(value.value) for place, value in file.values().items()})
-
-
 Floats = NDArray[np.float64]
 LOG_PRIOR_SD = 4.0  # of what nothing is known but its usual size
 GEOMETRY_PRIOR_SD = 3.0  # the same for a geometry value that is to be fitted
 LINEAR_PRIOR_SHARE = 0.5  # of the range of a value that may be 0 or negative
 TEMPERATURE_K = 5.0  # of a temperature: its usual value is no measure of how far it may be off
-AT_BOUND = 1e-3  # of the range of a coordinate
 PATH_SD = 0.005  # relative, of a loss that two values in series must give, where it is known as exact
 
 
@@ -89,12 +83,6 @@ class UnknownValue:
         """Inside the bounds, whatever the coordinate."""
         raw = float(np.exp(min(coordinate, 700.0))) if self.log else coordinate * self.scale
         return min(max(raw, self.low), self.high)
-
-    def is_at_bound(self, coordinate: float) -> bool:
-        """Return whether a fit ended at one of its bounds."""
-        low, high = self.bounds
-        margin = AT_BOUND * min(high - low, 2.0 * self.sd)
-        return not low + margin < coordinate < high - margin
 
     @property
     def bounds(self) -> tuple[float, float]:

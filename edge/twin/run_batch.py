@@ -27,7 +27,6 @@ class RunBatch:
     temp : [B, N + 1], NaN where missing [°C]; duty, fan, ambient : [B, N]
     ambient : NaN throughout when no run has a room temperature
     conditions : [B, N] each, columns of CONDITIONS that every run has, held over holes
-    left_out : [B, N], temperatures after a row that a fit must not see; None: it may see all
     """
 
     temp: Floats
@@ -35,7 +34,6 @@ class RunBatch:
     fan: Floats
     ambient: Floats
     conditions: Conditions = field(default_factory=dict)
-    left_out: NDArray[np.bool_] | None = None
 
     @property
     def has_ambient(self) -> bool:
@@ -45,8 +43,7 @@ class RunBatch:
     @property
     def measured(self) -> NDArray[np.bool_]:
         """Rows after which a temperature was measured, [B, N]: a model is fitted to these."""
-        known = np.isfinite(self.temp[:, 1:])
-        return known if self.left_out is None else known & ~self.left_out
+        return np.isfinite(self.temp[:, 1:])
 
 
 def batch_runs(runs: Sequence[RecordedRun], step_s: float) -> RunBatch:

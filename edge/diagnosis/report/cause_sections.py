@@ -1,6 +1,6 @@
 """Sections of the page: what is missing, how sure that is, and what is left."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any
 
@@ -105,7 +105,7 @@ def _effect(effect: EffectEntry) -> Iterator[str]:
     yield f"<h3><code>{escape(effect_text(effect))}</code></h3>"
     if equation := effect.get("equation"):
         yield paragraph(equation)
-    yield from _parameters(effect["parameters"], effect.get("at_bound", ()))
+    yield from _parameters(effect["parameters"])
     yield paragraph(f"How sure: probability {probability(effect.get('probability'))}.")
     if without := effect.get("without"):
         yield paragraph(f"Its mark in measured minus predicted: {without}.", "soft")
@@ -116,7 +116,7 @@ def _effect(effect: EffectEntry) -> Iterator[str]:
         )
 
 
-def _parameters(parameters: Mapping[str, ParameterEntry], at_bound: Sequence[str] = ()) -> Iterator[str]:
+def _parameters(parameters: Mapping[str, ParameterEntry]) -> Iterator[str]:
     columns = (
         TableColumn("parameter", words=True),
         *map(TableColumn, ("value", "95 % interval")),
@@ -124,7 +124,7 @@ def _parameters(parameters: Mapping[str, ParameterEntry], at_bound: Sequence[str
     )
     rows = [
         (
-            name + (" (at its bound)" if name in at_bound else ""),
+            name,
             number(parameter["value"]),
             interval_text(parameter).removeprefix(" (95 %: ").removesuffix(")") or DASH,
             parameter["unit"] or "1",

@@ -73,7 +73,6 @@ def _effects(document: DiagnosisDocument) -> Iterator[str]:
         yield "What is missing, by how much, and how sure:"
     for effect in document["effects"]:
         told = [parameter_text(name, value) for name, value in effect["parameters"].items()]
-        told += [f"{name} is at its bound" for name in effect.get("at_bound", ())]
         told += [f"probability {probability(effect.get('probability'))}"]
         if effect["alternatives"]:
             told += [f"these data cannot tell it from {join_names(effect['alternatives'])}"]

@@ -109,7 +109,6 @@ class Effect:
     amounts_to : the replaced effect's values that its own are worth at rest
     starts_beside : starts from the replaced effect's known values, none where it is missing
     time_constant : formula and value [s], where no parameter is one
-    taken_apart : sets of effects that it may stand for, tried in its place
     common : rank among effects that most boxes have, which stand in for a name that fails; 0: not one of them
     stands_in : it may be added without being named where much is unexplained
     must_change : commands without whose change in the runs it can't be told
@@ -132,7 +131,6 @@ class Effect:
     amounts_to: Callable[[Values], Values] | None = None
     starts_beside: Callable[[Values, UnitFactor], Sequence[Values]] | None = None
     time_constant: tuple[str, Callable[[Values], float]] | None = None
-    taken_apart: tuple[tuple[str, ...], ...] = ()
     common: int = 0
     stands_in: bool = False
     must_change: tuple[str, ...] = ()

@@ -154,11 +154,6 @@ def day_counter(effects: Iterable[str]) -> str:
     return next((name for name in effects if EFFECTS[name].counts_days), "")
 
 
-def common_effects() -> list[str]:
-    """Effects that most boxes have more or less of, by rank."""
-    return sorted((name for name in EFFECTS if EFFECTS[name].common), key=lambda name: EFFECTS[name].common)
-
-
 def hidden_by(runs: BlindRuns) -> dict[str, str]:
     """Effects that such recordings hide, and what each looks like in them."""
     found = [(item, name) for name, effect in EFFECTS.items() for item in effect.hidden_by]

@@ -402,8 +402,6 @@ LOSS_EFFECTS: Mapping[str, Effect] = by_name(
         amounts_to=_films_in_series,
         starts_beside=_walls,
         time_constant=("C_w / G", lambda own: own["C_w"] / (own["G_in"] + own["G_out"])),
-        # A light wall is a loss, and its capacity the air's.
-        taken_apart=(("wall_loss", "extra_capacity"), ("wall_mass", "extra_capacity")),
     ),
     Effect(
         soil_mass,
@@ -415,7 +413,6 @@ LOSS_EFFECTS: Mapping[str, Effect] = by_name(
         check="a thermometer in the soil, or a run without the pots",
         hidden_by=_SLOW_BODY,
         time_constant=("C_s / G_s", lambda own: own["C_s"] / own["G_s"]),
-        taken_apart=(("soil_mass", "extra_capacity"),),  # a light body is a capacity of the air
         common=2,
     ),
     Effect(
