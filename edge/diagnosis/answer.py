@@ -2,8 +2,8 @@
 
 import inspect
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,10 +30,12 @@ from edge.diagnosis.location import Location
 from edge.diagnosis.report.story import Trace
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.twin_choice import OPEN, Names
+from edge.diagnosis.twin_fit import FittedTwin
 from edge.twin.effects.library import EFFECTS
 from edge.twin.value import SDS_95, Value
 
 DIGITS = 6
+T = TypeVar("T")
 
 
 def answer(
@@ -184,41 +186,45 @@ def _path(found: Diagnosis) -> list[Names]:
 def _round(beside: Names, found: Diagnosis) -> RoundEntry:
     """Return what was tried beside a set."""
     base, final = found.choice.tried.get(beside), {item.name for item in found.verdict.effects}
-    candidates: list[CandidateEntry] = []
-    for key, tried in found.choice.tried.items():
-        if base is None or len(key) != len(beside) + 1 or not beside < key:
-            continue
-        (name,) = key - beside
-        more, _ = base.behind(tried, found.inputs.noise_k)
-        gain, values = more * len(tried.left_out), len(tried.fit.free) - len(base.fit.free)
+    if base is None:
+        return {"beside": _plain_names(beside), "candidates": []}
+    blocks, candidates = len(base.left_out), list[CandidateEntry]()
+
+    def add(name: str, fit: FittedTwin, gain: float, held_out: float | None, why: str) -> None:
+        values = len(fit.free) - len(base.fit.free)
         candidates.append(
             {
                 "name": name.removeprefix("~"),
                 "gain_nats": gain,
-                "bic": values * math.log(len(tried.left_out)) - 2.0 * gain,
-                "held_out_gain_nats": gain,
-                "kept": name in final,
-                "why": "in the final set" if name in final else _why_not(name, gain, found),
+                "bic": values * math.log(blocks) - 2.0 * gain,
+                "held_out_gain_nats": held_out,
+                "kept": name in final and held_out is not None,
+                "why": why,
             }
         )
-    known = {item["name"] for item in candidates}
-    for key, (fit, promised_k) in found.choice.screened.items():
-        if base is None or len(key) != len(beside) + 1 or not beside < key:
-            continue
-        (name,) = key - beside
-        if name.removeprefix("~") not in known:
-            gain = len(base.left_out) * math.log(base.left_out_k / max(promised_k, 1e-9))
-            candidates.append(
-                {
-                    "name": name.removeprefix("~"),
-                    "gain_nats": gain,
-                    "bic": (len(fit.free) - len(base.fit.free)) * math.log(len(base.left_out)) - 2.0 * gain,
-                    "held_out_gain_nats": None,
-                    "kept": False,
-                    "why": "a first look promised less than others",
-                }
-            )
-    return {"beside": sorted(name.removeprefix("~") for name in beside), "candidates": candidates}
+
+    for name, tried in _one_more(beside, found.choice.tried):
+        more, _ = base.behind(tried, found.inputs.noise_k)
+        gain = more * blocks
+        why = "in the final set" if name in final else _why_not(name, gain, found)
+        add(name, tried.fit, gain, gain, why)
+    for name, (fit, promised_k) in _one_more(beside, found.choice.screened):
+        if beside | {name} not in found.choice.tried:
+            gain = blocks * math.log(base.left_out_k / max(promised_k, 1e-9))
+            add(name, fit, gain, None, "a first look promised less than others")
+    return {"beside": _plain_names(beside), "candidates": candidates}
+
+
+def _plain_names(names: Names) -> list[str]:
+    return sorted(name.removeprefix("~") for name in names)
+
+
+def _one_more(beside: Names, sets: Mapping[Names, T]) -> Iterator[tuple[str, T]]:
+    """Yield what stands for a set and one more effect, with that effect."""
+    for key, item in sets.items():
+        if beside < key and len(key) == len(beside) + 1:
+            (name,) = key - beside
+            yield name, item
 
 
 def _why_not(name: str, gain: float, found: Diagnosis) -> str:

@@ -15,18 +15,17 @@ from edge.diagnosis.events import DOOR, DoorOpening, with_events
 from edge.diagnosis.gap import RunForecast, columns_of, errors, forecasts
 from edge.diagnosis.judge import DiagnosisVerdict, interval, judge, values_of
 from edge.diagnosis.prepare import PreparedRuns, prepare
-from edge.diagnosis.progress import Progress, Stage
+from edge.diagnosis.progress import Progress, Stage, Telling
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.diagnosis.twin_choice import (
     OPEN,
-    Names,
     TriedTwin,
     TwinChoice,
     block_squares,
     candidates_of,
     folds_of,
 )
-from edge.diagnosis.twin_fit import Begun, FittedTwin, begun
+from edge.diagnosis.twin_fit import FittedTwin, begun
 from edge.twin.draws import CORRELATION, correlation_document
 from edge.twin.effects.library import EFFECTS
 from edge.twin.run_batch import RunBatch
@@ -35,7 +34,7 @@ from edge.twin.value import Value
 
 Floats = NDArray[np.float64]
 PREPARED, SEARCHED = (0.02, 0.2, 10.0), (0.2, 0.9, 6.0)  # shares of the time, and steps
-NO_WORSE = 1.05
+NO_WORSE = 1.05  # times the error of the best simple model: less is no difference
 OPENED = next(name for name, effect in EFFECTS.items() if DOOR in effect.offered_with)
 
 
@@ -119,15 +118,13 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
     begun_s = time.monotonic()
     prepared = prepare(file, data, Stage(progress, *PREPARED))
     telling = Stage(progress, *SEARCHED)
-    choice = TwinChoice(prepared.file, prepared.fit_runs, candidates_of(prepared.file, prepared.fit_runs))
-    choice.tell = telling
+    choice = _choice(prepared, telling)
     seeds = [(frozenset(item.effects), begun(item.with_them())) for item in prepared.seeds]
     names = choice.grow([item for item in seeds if item[0] <= set(choice.candidates)])
     telling("doors and wrong readings")
     cleaned, doors = with_events(prepared, choice.tried[names].fit)
     if cleaned is not prepared:
-        again = TwinChoice(cleaned.file, cleaned.fit_runs, candidates_of(cleaned.file, cleaned.fit_runs))
-        again.tell = telling
+        again = _choice(cleaned, telling)
         again.attempt([(names, choice.tried[names].fit)])
         then = again.grow()
         if OPENED in then or not doors:
@@ -155,6 +152,12 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
         time.monotonic() - begun_s,
     )  # fmt: skip
     return replace(result, against_adopting=_against(result))
+
+
+def _choice(known: PreparedRuns, telling: Telling) -> TwinChoice:
+    """Return a choice among all candidates over runs, before anything is tried."""
+    runs = known.fit_runs
+    return TwinChoice(known.file, runs, candidates_of(known.file, runs), telling)
 
 
 def _validity(known: PreparedRuns) -> dict[str, object]:
@@ -188,8 +191,8 @@ def _baselines(prepared: PreparedRuns, data: DiagnosisRuns, file: TwinFile) -> B
     choice = TwinChoice(open_file(file, prepared.runs), runs, ())
     choice.attempt([(frozenset(), begun(choice.file))])
     sets = simple_sets()
-    starts = [*((names, start) for names, start in _simple_starts(choice, sets, prepared))]
-    choice.attempt(starts)
+    choice.screen(filter(None, sets.values()), frozenset())
+    choice.attempt((names, fit) for names, (fit, _) in choice.screened.items())
     twins = {name: choice.tried[names] for name, names in sets.items()}
     left_out = {name: item.left_out_k for name, item in twins.items()}
     tests: dict[str, float] = {}
@@ -231,16 +234,6 @@ def _arx_test(weights: Floats | None, order: int, guess: RunForecast, named: Nam
     seen[:, :begin] = True
     batch = RunBatch(guess.measured[None, first:], duty, fan, room)
     return np.asarray(arx_errors(weights, batch, seen)[0, begin:])
-
-
-def _simple_starts(
-    choice: TwinChoice, sets: Mapping[str, Names], prepared: PreparedRuns
-) -> Iterable[tuple[Names, Begun | FittedTwin]]:
-    for names in sets.values():
-        if not names:
-            continue
-        choice.screen([names], frozenset())
-        yield names, choice.screened[names][0]
 
 
 def _as_known(fitted: TwinFile) -> TwinFile:

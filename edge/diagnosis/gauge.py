@@ -9,7 +9,7 @@ from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import Value
 
 Effects = dict[str, dict[str, float]]
-MOSTLY_RADIANT = 0.95
+MOSTLY_RADIANT = 0.95  # share of a heater that stands behind a body: a fit begins inside the bound of 1
 HEATS = {"light": ("led_gain", "P_led"), "solar": ("solar_gain", "A_sun"), "": ("constant_heat", "P0")}
 
 

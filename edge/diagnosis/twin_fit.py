@@ -28,7 +28,7 @@ ARRIVED = 1e-4  # of the cost, that an iteration gains no more than
 START_SD_K, REST_SD_K, BODY_SD_K, ROOM_SD_K = 0.5, 1.0, 10.0, 10.0
 FIRST_POWER = 0.3  # of the heater's power that its element may hold at first
 POWER_SD, HEAT_SD = 0.01, 0.01  # of a run's power, and of a heat through all of it: shares of the heater's
-NEVER_SD = 1e-6
+NEVER_SD = 1e-6  # of what a run of its own must not tell
 RUNAWAY_K = 1e4
 LONGEST_SHARE = 0.1  # of a run, over which errors are taken to go together
 
@@ -76,6 +76,10 @@ class Simulated:
     sds: Floats
     shifted: Floats
 
+    def left(self, moved: Floats) -> Floats:
+        """Return the errors of runs whose starts are so far from those expected, [B, N]. moved : [B, S]"""
+        return np.asarray(self.error - np.einsum("sbn,bs->bn", self.starts, moved))
+
     def starts_at(self, moved: Floats) -> Floats:
         """Return the starts that are so far from those expected, [B, S]."""
         found = self.expected + moved
@@ -118,7 +122,7 @@ class _Task:
     damping: float = FIRST_DAMPING
     error_k: float = 0.0
     cost: float = np.inf
-    here: "Simulated | None" = None
+    here: Simulated | None = None
     best: Floats = field(default_factory=lambda: np.empty(0))
     slopes: Floats | None = None  # that are kept from where it began
     done: bool = False
@@ -161,9 +165,7 @@ def simulate(
         steepness = (shown[at + 1 : at + 1 + p] - nominal) / moves[:, None, None]
         starts = shown[at + 1 + p : at + 1 + p + s]
         at += 1 + p + s
-        error = np.where(
-            seen, np.clip(np.nan_to_num(measured - nominal, nan=RUNAWAY_K), -RUNAWAY_K, RUNAWAY_K), 0.0
-        )
+        error = np.where(seen, _clip(measured - nominal), 0.0)
         whole = np.column_stack([expected, np.zeros((len(room_c), 2)), room_c])[:, :s]
         found.append(Simulated(error, _clip(steepness), _clip(starts), whole, sds, warmer))
     return found
@@ -317,8 +319,7 @@ def _take(task: _Task, found: Simulated, noise_k: float, last: bool) -> None:
         task.error_k = _level(found, task.mask, noise_k, noise_k)
     sums = project(found, task.mask, task.error_k)
     cost = 0.5 * (sums.square + _prior(task, task.x))
-    better = cost < task.cost
-    if better:
+    if cost < task.cost:
         gained = task.cost - cost
         task.cost, task.here, task.best = cost, found, task.x
         task.damping = max(task.damping / 10.0, LEAST_DAMPING)
@@ -335,11 +336,8 @@ def _take(task: _Task, found: Simulated, noise_k: float, last: bool) -> None:
         task.x = task.best
         assert task.here is not None
         sums = project(task.here, task.mask, task.error_k)
-        if task.damping > MOST_DAMPING:
-            task.done = True
-    if last:
-        task.done = True
-    if task.done or not len(task.x):
+        task.done = task.damping > MOST_DAMPING
+    if last or task.done or not len(task.x):
         task.x, task.done = task.best, True
         return
     gradient, normal = _with_priors(task, sums)
@@ -355,7 +353,7 @@ def _take(task: _Task, found: Simulated, noise_k: float, last: bool) -> None:
 def _level(found: Simulated, mask: Mask, noise_k: float, before_k: float) -> float:
     """Return what an error may be, errors that go together counted once [K]."""
     sums = project(found, mask, before_k)
-    errors = found.error - np.einsum("sbn,bs->bn", found.starts, sums.solve_error)
+    errors = found.left(sums.solve_error)
     count = max(int(mask.sum()), 1)
     error_k = max(noise_k, float(np.sqrt((errors[mask] ** 2).sum() / count)))
     return min(error_k * float(np.sqrt(together(errors, mask))), RUNAWAY_K)
@@ -366,7 +364,7 @@ def _finish(task: _Task, runs: FitRuns) -> FittedTwin:
     assert found is not None
     sums = project(found, task.mask, task.error_k)
     _, normal = _with_priors(task, sums)
-    errors = found.error - np.einsum("sbn,bs->bn", found.starts, sums.solve_error)
+    errors = found.left(sums.solve_error)
     errors[np.abs(found.error) >= RUNAWAY_K] = RUNAWAY_K  # no start makes up for that
     return FittedTwin(
         place_unknowns(task.file, task.free, task.best),
@@ -445,5 +443,4 @@ def _along(item: FittedTwin, mask: Mask) -> tuple[Floats, Floats]:
         move = np.asarray(np.linalg.lstsq(normal, gradient, rcond=1e-14)[0], dtype=np.float64)
         move[:p] = np.clip(move[:p], -LARGEST_MOVE, LARGEST_MOVE)
     starts = sums.solve_error - sums.solve_slopes @ move
-    moved = found.error - np.einsum("pbn,p->bn", found.slopes, move)
-    return np.asarray(moved - np.einsum("sbn,bs->bn", found.starts, starts)), move
+    return found.left(starts) - np.einsum("pbn,p->bn", found.slopes, move), move
