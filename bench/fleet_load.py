@@ -343,7 +343,7 @@ def main() -> int:
     parser.add_argument("--daemons", type=int, default=50)
     arguments = parser.parse_args()
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a rig has three connections
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a rig has four connections
     print(f"python -m bench.fleet_load {' '.join(sys.argv[1:])}")
     print(*header(), sep="\n")
     with tempfile.TemporaryDirectory() as folder:

@@ -1,5 +1,5 @@
-"""The paho client, set up from the settings: session, last will, TLS, user; and a second connection for
-orders that must not wait, emergency stop and maintenance.
+"""The paho client, set up from the settings: session, last will, TLS, user; and the connections
+for orders that must not wait: emergency stop, words that may mean it, and maintenance.
 
 Orders that must not wait have a client of their own: a broker queues messages for each client. Behind a flood
 of other commands that queue is long, and a full one loses a stop; the queue of a client that subscribes to

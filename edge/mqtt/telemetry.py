@@ -40,8 +40,9 @@ REFUSAL_PAUSE_S = 0.001  # so a flood of 1000/s costs a tenth of a core, and the
 FLOOD_OVER_S = 10.0  # after the last refusal
 STOP_REPEATED_S = 10.0  # a stop that the main connection hears so long after its lane is the same one
 STOP_APART_S = 0.3  # between the arrivals of one stop by both connections
-# A release in the order in which it was given; and orders in which a person may say "stop".
-LANES = ((STOP, "release_emergency_stop", *WORDED), ("maintenance",))
+# A stop and its release keep their order. Topics in which a person may say "stop" share no queue with them:
+# the queue of a flooded topic is as long as the flood.
+LANES = ((STOP, "release_emergency_stop"), WORDED, ("maintenance",))
 EVENTS_WAITING_MAX = 200  # live events while the broker is away; all of them are in the outbox too
 LATE_SHARE = 0.1  # a tick that begins later than this share of a step counts as late
 SHORT = (  # keys of short answers

@@ -19,12 +19,13 @@ PREFIX = "greenhouse"
 GOLDEN = 0.6180339887  # spreads the rigs' ticks over the step, however many there are
 MISC_S = 5.0  # between two looks at keep-alives
 CONNECTS_PER_TURN = 20
-LANES = (("emergency_stop", "release_emergency_stop"), ("maintenance",))  # as edge.mqtt.telemetry has them
+# As edge.mqtt.telemetry has them.
+LANES = (("emergency_stop", "release_emergency_stop"), ("mode", "ask"), ("maintenance",))
 Template = dict[str, str]  # topic below the rig's -> payload from its third key on
 
 
 class SimulatedRig:
-    """One rig: three connections, as a daemon has. lags : where the broker's answers are noted"""
+    """One rig: four connections, as a daemon has. lags : where the broker's answers are noted"""
 
     def __init__(self, index: int, port: int, templates: list[Template], step_s: float, lags: TextIO) -> None:
         self.name = f"sim-{index:06}"

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 pytest_plugins = ["rig_places"]
 
 # Behind a flood it would wait for minutes; `python -m bench attack` shows how long it does.
-HELD_UP_S = 120.0  # without a connection of its own a stop waits for the whole flood, many minutes
+HELD_UP_S = 30.0  # without a connection of its own a stop waits for the whole flood, many minutes
 FLOOD = """
 import sys
 from paho.mqtt.client import Client
