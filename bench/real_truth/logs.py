@@ -26,6 +26,8 @@ from bench.real_truth.readers import (
     klipper,
     lines,
     oven,
+    pad,
+    pizza_oven,
     plain,
     pwm_chamber,
     roaster,
@@ -76,7 +78,7 @@ def texts(log: RealLog, data: Path, repositories: Path) -> list[str]:
         found = [path for pattern in log.paths for path in sorted(data.glob(pattern))]
         if not found:
             raise DataError(f"{data}: holds no {', '.join(log.paths)}: --data says where the logs lie")
-        return [path.read_text(encoding="utf-8") for path in found]
+        return [path.read_text(encoding="utf-8", errors="surrogateescape") for path in found]
     return [_show(log, path, repositories) for path in log.paths]
 
 
@@ -94,6 +96,9 @@ def _show(log: RealLog, path: str, repositories: Path) -> str:
                 raise DataError(f"{place}: {log.commit}:{path}: {found.stderr.decode().strip()}")
             return found.stdout.decode("utf-8", "surrogateescape")
     raise DataError(f"{repositories}: no clone of https://github.com/{log.source}: git clone it there")
+
+
+BYU = plain("time_s heater_duty humidity temp_air_c outside temp_ambient_c", heads=1, full=100.0)
 
 
 def _kit(name: str, path: str) -> RealLog:
@@ -328,5 +333,47 @@ LOGS: Sequence[RealLog] = (
         fan_calibration, 1e-4, 40.0, 1.0, (*HEATER_LIKE, "stirred_loss"),
         (*BODY_LIKE, "longwave_radiation"), fan="stirring", highest_c=350.0,
         note="full heat and then none, first without its fan and then with it",
+    ),
+    RealLog(
+        "box with two kits, step", "dev", SHARED, "", ("byu_box/step_test.csv",), BYU, 2.5e-3, 4.0, 3.0,
+        HEATER_LIKE, BODY_LIKE, note="the heaters' own temperatures lag by 113 to 120 s; whole degrees",
+    ),
+    RealLog(
+        "box with two kits, runs", "dev", SHARED, "",
+        tuple(f"byu_box/{name}.csv" for name in ("step_test", "first_run_data", "final_real_run")),
+        BYU, 2.5e-3, 4.0, 3.0, HEATER_LIKE, BODY_LIKE, whole=True,
+    ),
+    RealLog(
+        "lab kit, other rooms", "dev", SHARED, "",
+        tuple(
+            f"tclab_nd/{name}.csv"
+            for name in (
+                "tclab_step_test",
+                "tclab_sine_test_5min_period",
+                "validation_experiment_env_2_step_50_run_2",
+                "validation_experiment_env_2_sin_5_50_run_2",
+                "validation_experiment_env_2_sin_2_50_run_1",
+                "validation_experiment_env_2_sin_50_50_run_1",
+            )
+        ),
+        table("Time", "T1", "Q1", full=100.0), 1e-4, 3.6, 3.0, HEATER_LIKE,
+        (*BODY_LIKE, "longwave_radiation"), whole=True, note="a run's first reading is its room",
+    ),
+    RealLog(
+        "heating pad, dishes", "dev", SHARED, "", ("myco_pad/202602111639.csv",), pad, 1e-4, 12.0, 10.0,
+        (), (*HEATER_LIKE, *BODY_LIKE), note="two wet dishes are put on it after 41 minutes",
+    ),
+    RealLog(
+        "heating pad", "dev", SHARED, "", ("myco_pad/20260303*.csv",), pad, 1e-4, 12.0, 10.0, HEATER_LIKE,
+        BODY_LIKE, whole=True, note="in the first a reading jumps by 16.5 K",
+    ),
+    RealLog(
+        "pizza oven, steps", "dev", SHARED, "", ("pizza_oven/*step*.log",), pizza_oven, 0.02, 1500.0, 2.0,
+        HEATER_LIKE, (*BODY_LIKE, "longwave_radiation"), whole=True, highest_c=400.0,
+    ),
+    RealLog(
+        "pizza oven, profiles", "dev", SHARED, "", ("pizza_oven/2024-10-*profile*.log",), pizza_oven, 0.02,
+        1500.0, 2.0, (*HEATER_LIKE, "door_opening"), (*BODY_LIKE, "longwave_radiation"), whole=True,
+        note="the door is opened near the peak, nine minutes after the start", highest_c=400.0,
     ),
 )  # fmt: skip

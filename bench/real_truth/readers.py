@@ -69,6 +69,31 @@ def _table(text: str, delimiter: str = ",") -> dict[str, list[str]]:
     return {name: [row[i] for row in rows[1:] if len(row) > i] for i, name in enumerate(rows[0])}
 
 
+def pad(text: str) -> Columns:
+    """Read a heating pad's console: times as hh:mm:ss, a heater that is ON or OFF, lines without readings."""
+    found = _table(text)
+    times = found["TimeElapsed"]
+    duty = [{"ON": 1.0, "OFF": 0.0}.get(word, np.nan) for word in found["Heater"]]
+    return finish(
+        {
+            "time_s": np.array([np.dot((3600, 60, 1), [*map(float, word.split(":"))]) for word in times]),
+            "temp_air_c": np.array([float(word[:4]) for word in found["Temperature"]]),
+            "heater_duty": np.array(duty),
+        }
+    )
+
+
+def pizza_oven(text: str) -> Columns:
+    """Read an oven's log, whose columns changed over the months; below two lines that are no table."""
+    found = _table(text[text.index("Index") :])
+    column = {name.partition(" (")[0]: np.array([*map(float, words)]) for name, words in found.items()}
+    room = column.get("Ambient temperature")
+    air = column.get("Oven temperature", column.get("Temperature"))
+    duty = column.get("PWM controller", column.get("pwm_controller"))
+    own = {"time_s": column["Time"] / 1000.0, "temp_air_c": air, "heater_duty": duty / 100.0}
+    return finish(own if room is None else own | {"temp_ambient_c": room}, every=2)
+
+
 def table(
     time: str, air: str, heat: str, *, tick_s: float = 1.0, full: float = 1.0, every: int = 1, **others: str
 ) -> Reader:
