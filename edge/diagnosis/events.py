@@ -17,11 +17,9 @@ DOOR = "door_open"  # the column that doors found in the runs become
 
 def with_events(known: PreparedRuns, fit: FittedTwin) -> tuple[PreparedRuns, tuple[DoorOpening, ...]]:
     """Return the runs with doors as a column `door_open` and without wrong readings, and the doors."""
-    runs = known.runs
+    runs = known.with_rooms(fit.starts)
     begun = np.where(np.isfinite(runs.temp[:, 0]), runs.temp[:, 0], fit.starts[:, 0])
     runs = replace(runs, temp=np.concatenate([begun[:, None], runs.temp[:, 1:]], axis=1))
-    if known.guessed:
-        runs = replace(runs, ambient=np.repeat(fit.starts[:, -1:], runs.duty.shape[1], axis=1))
     try:
         events = find_events(fit.file.twin(), runs, known.names, known.noise_k)
     except (DataError, np.linalg.LinAlgError):

@@ -58,14 +58,15 @@ def _forecast(fit: FittedTwin, named: NamedRun, known: PreparedRuns) -> RunForec
     temp = named.run.columns["temp_air_c"]
     first, size = int(np.isfinite(temp).argmax()), len(fit.file.twin().states)
     is_at_rest = rests(temp[np.isfinite(temp)], known.noise_k)
-    if not known.guessed:
+    if np.isfinite(named.run.columns.get("temp_ambient_c", np.nan)).any():
         room_c = over_rows(hold(named.run.columns["temp_ambient_c"])[None])[0]
-    elif place is not None:
+    elif place is not None and known.open_rooms[place]:
         room_c = np.full(len(temp), fit.starts[place, -1])
     elif is_at_rest:
         room_c = np.full(len(temp), usual_room_c(temp, True))
     else:
-        room_c = np.full(len(temp), float(fit.starts[:, -1].mean()))
+        rooms = fit.starts[known.open_rooms, -1] if known.guessed else known.runs.ambient.mean(axis=1)
+        room_c = np.full(len(temp), float(rooms.mean()))
     columns = columns_of(named.run, room_c)
     if place is None:
         state, start = _start(fit.file, named, columns, first, known.noise_k, fit.error_k)
@@ -133,7 +134,7 @@ def _start(
     inputs = {name: values[None, first:-1] for name, values in columns.items() if name != "temp_air"}
     duty, fan, room = (inputs[name] for name in ("heater_duty", "fan_on", "temp_ambient"))
     batch = RunBatch(temp[None, first:], duty, fan, room, inputs)
-    runs = FitRuns(batch, noise_k, np.array([is_at_rest]), room_is_open=False)
+    runs = FitRuns(batch, noise_k, np.array([is_at_rest]), np.zeros(1, dtype=bool))
     return best_starts(file, runs, seen[None], error_k)[0], start
 
 

@@ -3,7 +3,7 @@ it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import floor, log10
 
 import numpy as np
@@ -246,9 +246,7 @@ def _afterwards(
 def _residuals(found: Diagnosis, side: Side) -> dict[str, Residuals]:
     """By run; none of a twin that is so far off that its filter has no sense."""
     known = found.inputs
-    runs = known.runs
-    if known.guessed:
-        runs = replace(runs, ambient=np.repeat(side.fit.starts[:, -1:], runs.duty.shape[1], axis=1))
+    runs = known.with_rooms(side.fit.starts)
     try:
         every = residuals_of(side.fit.file.twin(), runs, known.names, known.noise_k)
     except (DataError, np.linalg.LinAlgError):

@@ -71,10 +71,10 @@ class PreparedRuns:
     """The twin, with what it leaves open where grey boxes fit, and the training runs.
 
     file : at the step of the runs; given : as it was given
-    runs : without wrong readings; its room a guessed constant a run where nobody measured it
+    runs : without wrong readings; its room a guessed constant in runs where nobody measured it
     seeds : effects that the grey box which suits best may stand for, with their values, likeliest first
     rests : [B], runs that begin in balance with their rooms
-    wrong : readings taken out; guessed : whether no room temperature was recorded
+    wrong : readings taken out; open_rooms : [B], runs whose room nobody measured
     """
 
     given: TwinFile
@@ -83,9 +83,21 @@ class PreparedRuns:
     runs: RunBatch
     noise_k: float
     rests: Mask
-    guessed: bool
+    open_rooms: Mask
     wrong: int
     seeds: tuple[NamedValues, ...]
+
+    @property
+    def guessed(self) -> bool:
+        """Whether there is a run whose room nobody measured."""
+        return bool(self.open_rooms.any())
+
+    def with_rooms(self, starts: Floats) -> RunBatch:
+        """Return the runs with rooms as a fit has them where nobody measured them. starts : [B, S]"""
+        if not self.guessed:
+            return self.runs
+        room = np.where(self.open_rooms[:, None], starts[:, -1:], self.runs.ambient)
+        return replace(self.runs, ambient=room)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,7 +109,7 @@ class PreparedRuns:
         """The rows that twins are fitted to."""
         power = self.given.nuisance.get("heater_power_run_sd")
         sd = POWER_SD if power is None else max(power, LEAST_SD)
-        return FitRuns(self.runs, self.noise_k, self.rests, self.guessed, sd)
+        return FitRuns(self.runs, self.noise_k, self.rests, self.open_rooms, sd)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -123,17 +135,17 @@ def prepare(file: TwinFile, data: DiagnosisRuns, telling: Telling = lambda text:
     runs = replace(runs, temp=temp)
     noise_k = noise_of(file, data)
     resting = np.array([rests(temp[np.isfinite(temp)], noise_k) for temp in runs.temp])
-    guessed = not runs.has_ambient
-    if guessed:
-        rooms = [usual_room_c(temp, rest) for temp, rest in zip(runs.temp, resting, strict=True)]
-        ambient = np.repeat(np.array(rooms)[:, None], runs.duty.shape[1], axis=1)
-    else:
-        ambient = over_rows(runs.ambient)
+    guessed = np.asarray(np.isnan(runs.ambient).any(axis=1))
+    ambient = runs.ambient.copy()
+    for i in np.flatnonzero(guessed):
+        ambient[i] = usual_room_c(runs.temp[i], bool(resting[i]))
+    if not guessed.all():
+        ambient[~guessed] = over_rows(ambient[~guessed])
     runs = replace(runs, ambient=ambient)
     seeds: list[NamedValues] = []
     if any(place[1] in (LOSING, STORING) for place in work.to_fit()):  # nothing is known of how fast it is
         telling("grey boxes")
-        grey, columns = _choose_grey(work, runs, guessed, resting, noise_k)
+        grey, columns = _choose_grey(work, runs, bool(guessed.any()), resting, noise_k)
         for key in dict.fromkeys((grey.terms, frozenset[str]())):
             placed, sets = in_watts(work, grey.tried[key], columns)
             seeds += [NamedValues(placed, effects) for effects in sets if effects]

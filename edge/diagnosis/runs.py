@@ -294,10 +294,6 @@ def _check_columns(train: Sequence[RecordedRun], test: Sequence[RecordedRun], tw
             if not _has(run, column):
                 key = "start_utc" if column == "utc" else _COLUMN.get(column, column)
                 raise DataError(f"{run.path}: {key}: missing, the twin's {effect} needs it")
-    rooms = [run for run in (*train, *test) if _has(run, "temp_ambient_c")]
-    if rooms and len(rooms) < len(train) + len(test):
-        without = next(run for run in (*train, *test) if not _has(run, "temp_ambient_c"))
-        raise DataError(f"{without.path}: temp_ambient_c: not known, but {rooms[0].path} has it")
 
 
 def _has(run: RecordedRun, column: str) -> bool:

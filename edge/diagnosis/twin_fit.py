@@ -37,17 +37,22 @@ LONGEST_SHARE = 0.1  # of a run, over which errors are taken to go together
 class FitRuns:
     """Rows that twins are fitted to.
 
-    batch : its room an assumed constant a run where nobody measured it; noise_k : of a reading
-    rests : [B], runs that begin in balance with their rooms
+    batch : its room an assumed constant in runs where nobody measured it; noise_k : of a reading
+    rests, open_rooms : [B], runs that begin in balance with their rooms, and those with an assumed room
     power_sd, heat_sd : of a run's power, and of a heat through all of it, as shares of the heater's
     """
 
     batch: RunBatch
     noise_k: float
     rests: Mask
-    room_is_open: bool
+    open_rooms: Mask
     power_sd: float = POWER_SD
     heat_sd: float = HEAT_SD
+
+    @property
+    def room_is_open(self) -> bool:
+        """Whether the room of a run is to be found."""
+        return bool(self.open_rooms.any())
 
     @property
     def seen(self) -> Mask:
@@ -191,7 +196,8 @@ def _spread(twin: BoxTwin, expected: Floats, runs: FitRuns) -> Floats:
     found = [table.get(name, body) for name in twin.states]
     found += [np.full(count, runs.power_sd), np.full(count, runs.heat_sd)]
     if runs.room_is_open:
-        found.append(np.where(runs.rests, REST_SD_K, ROOM_SD_K))
+        sd = np.where(runs.rests, REST_SD_K, ROOM_SD_K)
+        found.append(np.where(runs.open_rooms, sd, NEVER_SD))
     return np.column_stack(found)
 
 

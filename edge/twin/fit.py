@@ -223,6 +223,9 @@ def _unknowns(file: TwinFile, data: RunBatch) -> list[_Unknown]:
         unknowns.append(_Unknown(place, value.value, low, high, prior_sd))
         if place[0] == "effects" and place[1] not in acting_effects(file.effects):
             raise DataError(f"{'.'.join(place)}: does nothing beside the effect that replaces it")
+    if np.isfinite(data.ambient).any() and not data.has_ambient:
+        # One room for all would be fitted as if it had been measured in each.
+        raise DataError("temp_ambient_c: some runs have it and others not: fit those with it alone")
     if not data.has_ambient:
         unknowns.append(_Unknown(_AMBIENT, float(np.nanmin(data.temp[:, 0])), *AMBIENT_RANGE_C))
     if not unknowns:

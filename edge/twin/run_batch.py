@@ -25,7 +25,7 @@ class RunBatch:
     """B runs, padded to the longest with missing temperatures; row k's inputs hold to row k + 1.
 
     temp : [B, N + 1], NaN where missing [°C]; duty, fan, ambient : [B, N]
-    ambient : NaN throughout when no run has a room temperature
+    ambient : NaN in runs whose room nobody measured
     conditions : [B, N] each, columns of CONDITIONS that every run has, held over holes
     """
 
@@ -37,7 +37,7 @@ class RunBatch:
 
     @property
     def has_ambient(self) -> bool:
-        """True if the ambient temperature was recorded."""
+        """True if every run has its ambient temperature."""
         return bool(np.isfinite(self.ambient).all())
 
     @property
@@ -52,16 +52,11 @@ def batch_runs(runs: Sequence[RecordedRun], step_s: float) -> RunBatch:
     A run ends where its fact `validate_from_s` says that validation begins; a fan column that is absent is a
     fan that stood still; a room temperature is held over its holes.
 
-    Errors : DataError for a run of role test, one with no temperature, or a room that only some recorded
+    Errors : DataError for a run of role test, or one with no temperature
     """
     if not runs:
         raise DataError("fit: needs at least one run")
     parts = [_part(run, step_s) for run in runs]
-    known = [part.has_ambient for part in parts]
-    # Half known is not filled in: a guessed room would be fitted as if it had been measured.
-    if any(known) and not all(known):
-        place = runs[known.index(False)].path
-        raise DataError(f"{place}: temp_ambient_c: not known, but other runs have it")
     rows = max(part.temp.shape[1] for part in parts)
     return RunBatch(
         np.concatenate([_pad(part.temp, rows, np.nan) for part in parts]),

@@ -82,7 +82,7 @@ class Separation:
             free = free_run(item.file.twin(), plain)
             guess = replace(plain, temp=np.concatenate([plain.temp[:, :1], free], axis=1))
             rests = np.ones(len(free), dtype=bool)
-            runs = FitRuns(guess, item.error_k, rests, self.around.guessed)
+            runs = FitRuns(guess, item.error_k, rests, np.full(len(rests), self.around.guessed))
             found = simulate([(item.file, item.free, item.x)], runs)[0]
             own = np.einsum("kj,kbn->jbn", _root(item.covariance), found.slopes)
             # A run has a start, a power and perhaps a room of its own.

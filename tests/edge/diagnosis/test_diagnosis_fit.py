@@ -32,7 +32,7 @@ def runs_of(
     batch = batch_runs([run if room else change_run(run, temp_ambient_c=None) for run in found], STEP_S)
     rests = np.full(len(found), begin == 0)
     ambient = over_rows(batch.ambient) if room else np.full_like(batch.duty, 24.0)
-    return FitRuns(replace(batch, ambient=ambient), NOISE.sensor_k, rests, room_is_open=not room)
+    return FitRuns(replace(batch, ambient=ambient), NOISE.sensor_k, rests, np.full(len(rests), not room))
 
 
 def open_file(effects: Effects, off: float = 1.0) -> TwinFile:
@@ -140,7 +140,7 @@ def test_a_right_twin_misses_a_left_out_run_by_the_noise_though_that_is_heated_f
 def test_an_effect_whose_input_never_moved_is_no_candidate(still: str, gone: set[str]) -> None:
     run = simulate(BOX, 1, 60)
     plain, held = (
-        FitRuns(batch_runs([own], STEP_S), NOISE.sensor_k, np.ones(1, dtype=bool), room_is_open=False)
+        FitRuns(batch_runs([own], STEP_S), NOISE.sensor_k, np.ones(1, dtype=bool), np.zeros(1, dtype=bool))
         for own in (run, change_run(run, **{still: np.zeros(60)}))
     )
     assert gone <= set(candidates_of(twin_file(), plain))

@@ -374,12 +374,6 @@ def test_no_run_at_all_is_refused() -> None:
         read()
 
 
-def test_a_room_that_only_some_recorded_is_refused(train: Path, tmp_path: Path) -> None:
-    other = recorded(tmp_path / "other.csv", box_run(2), temp_ambient_c=None)
-    with pytest.raises(DataError, match=r"other\.csv: temp_ambient_c: not known, but .*train\.csv has it"):
-        read(train, other)
-
-
 @pytest.mark.parametrize(
     ("effect", "values", "message"),
     [

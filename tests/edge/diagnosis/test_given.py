@@ -189,16 +189,18 @@ def test_a_door_that_was_recorded_is_kept_beside_one_that_was_found() -> None:
 # the room
 
 
-def test_where_no_room_was_recorded_each_run_has_its_own() -> None:
+@pytest.mark.parametrize("measured", [(), (1,)])
+def test_where_no_room_was_recorded_each_run_has_its_own(measured: tuple[int, ...]) -> None:
     rooms, runs = (17.0, 21.0, 25.0), []
     noise = NOISE.sensor_k * np.random.default_rng(6).standard_normal(ROWS)
     for run, room in zip(recordings(), rooms, strict=True):
         duty, fan = (run.columns[key][None, :-1] for key in ("heater_duty", "fan_on"))
         temp = BoxTwin(effects=BOX).rollout(np.array([room]), duty, fan, room)[0]
-        runs.append(change_run(run, temp_air_c=np.append(room, temp) + noise, temp_ambient_c=None))
+        known = np.full(ROWS, room) if len(runs) in measured else None
+        runs.append(change_run(run, temp_air_c=np.append(room, temp) + noise, temp_ambient_c=known))
     found = prepared(runs)
-    assert found.guessed
-    assert fitted(found).starts[:, -1] == pytest.approx(rooms, abs=0.2)
+    assert [*np.flatnonzero(~found.open_rooms)] == [*measured]
+    assert found.with_rooms(fitted(found).starts).ambient[:, 0] == pytest.approx(rooms, abs=0.2)
 
 
 def wandering(noise_k: float) -> tuple[Floats, Floats]:

@@ -428,14 +428,6 @@ def test_a_run_that_is_training_and_test_is_refused(diagnose: Command, tmp_path:
     assert refusal == f"{tmp_path / 'test_01.csv'}: is the same recording as {tmp_path / 'train_01.csv'}"
 
 
-def test_a_test_run_without_the_room_that_the_others_have_is_refused(
-    diagnose: Command, tmp_path: Path
-) -> None:
-    test = change_run(blind_test({}), temp_ambient_c=None)
-    refusal = diagnose(*words_for(tmp_path, recordings({})[:1], [test])).refusal
-    assert refusal.startswith(f"{tmp_path / 'test_01.csv'}: temp_ambient_c: not known")
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

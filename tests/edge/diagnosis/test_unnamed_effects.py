@@ -108,7 +108,7 @@ def test_what_no_term_follows_is_not_taken_for_noise() -> None:
 def runs_with(fan: np.ndarray) -> FitRuns:
     still = np.zeros((1, 40))
     batch = RunBatch(np.full((1, 41), 20.0), still, fan[None], still + 20.0, {})
-    return FitRuns(batch, NOISE.sensor_k, np.ones(1, dtype=bool), room_is_open=False)
+    return FitRuns(batch, NOISE.sensor_k, np.ones(1, dtype=bool), np.zeros(1, dtype=bool))
 
 
 def test_it_is_never_offered_as_a_name() -> None:
