@@ -23,6 +23,7 @@ from edge.config.settings import BundleSettings, ControlSocketSettings, MqttSett
 from edge.core.errors import ConfigError, DataError, GreenhouseError
 from edge.formats.atomic_file import read_document
 from edge.formats.input_file import open_file, read_file
+from edge.state.store import LIMITS
 from edge.tick.reference import make_reference
 
 SOCKET_PATH_MAX = 107  # bytes of a Unix socket's address, unix(7)
@@ -70,10 +71,12 @@ def _problems_of(check: Callable[[], object]) -> Iterator[ConfigProblem]:
 
 
 def _heater(settings: Settings) -> Iterator[ConfigProblem]:
-    """Warn of a heater of unknown power; refuse one on a rig that has run before: it would stop heating."""
+    """Warn of a heater of unknown power; refuse one on a rig that older software ran: it would stop heating."""
     if not (settings.box.twin or settings.box.heater_w) and settings.safety.heater_max_duty > 0.0:
         text = "box.heater_w: the heater's power is not known: this rig does not heat until it is named [W]"
-        yield ConfigProblem(text, _mode(settings.state_file) is not None)
+        # Software that has limits on file does not heat with such settings: nothing changes then.
+        heated = _mode(settings.state_file) is not None and _mode(str(LIMITS.place(settings))) is None
+        yield ConfigProblem(text, heated)
 
 
 def _secret(name: str, key: str) -> Iterator[ConfigProblem]:

@@ -135,19 +135,20 @@ mqtt: {{enabled: true, username: rig, password_file: {tmp_path}/password, tls: t
 
 
 @pytest.mark.parametrize(
-    ("text", "has_run", "is_error"),
+    ("text", "left", "is_error"),
     [
-        ("", False, False),
-        ("", True, True),  # an upgrade: this rig heated before
-        ("box: {heater_w: 100}\n", True, None),
-        ("safety: {heater_max_duty: 0}\n", True, None),
+        ("", (), False),
+        ("", ("state.json",), True),  # an upgrade: this rig heated before
+        ("", ("state.json", "limits.json"), False),  # it did not: an upgrade changes nothing
+        ("box: {heater_w: 100}\n", ("state.json",), None),
+        ("safety: {heater_max_duty: 0}\n", ("state.json",), None),
     ],
 )
 def test_a_heater_of_unknown_power_is_named_before_the_rig_starts(
-    tmp_path: Path, text: str, has_run: bool, is_error: bool | None
+    tmp_path: Path, text: str, left: tuple[str, ...], is_error: bool | None
 ) -> None:
-    if has_run:
-        (tmp_path / "state.json").write_text("{}")
+    for name in left:
+        (tmp_path / name).write_text("{}")
     found = problems(config.parse(f"state_file: {tmp_path}/state.json\n{text}"))
     assert [one.is_error for one in found if one.text.startswith("box.heater_w: ")] == (
         [] if is_error is None else [is_error]
