@@ -71,7 +71,7 @@ def _problems_of(check: Callable[[], object]) -> Iterator[ConfigProblem]:
 
 
 def _heater(settings: Settings) -> Iterator[ConfigProblem]:
-    """Warn of a heater of unknown power; refuse one on a rig that older software ran: it would stop heating."""
+    """Warn of a heater of unknown power; refuse one where older software ran: then it stops heating."""
     if not (settings.box.twin or settings.box.heater_w) and settings.safety.heater_max_duty > 0.0:
         text = "box.heater_w: the heater's power is not known: this rig does not heat until it is named [W]"
         # Software that has limits on file does not heat with such settings: nothing changes then.

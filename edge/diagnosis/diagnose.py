@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,9 @@ from edge.diagnosis.prepare import PreparedRuns, prepare
 from edge.diagnosis.progress import Progress, Stage, Telling
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
 from edge.diagnosis.twin_choice import (
+    MOST_ADDED,
     OPEN,
+    Names,
     TriedTwin,
     TwinChoice,
     block_squares,
@@ -35,6 +38,7 @@ from edge.twin.value import Value
 Floats = NDArray[np.float64]
 PREPARED, SEARCHED = (0.02, 0.2, 10.0), (0.2, 0.9, 6.0)  # shares of the time, and steps
 NO_WORSE = 1.05  # times the error of the best simple model: less is no difference
+LOOKS = 3  # for doors
 OPENED = next(name for name, effect in EFFECTS.items() if DOOR in effect.offered_with)
 
 
@@ -113,6 +117,12 @@ class Diagnosis:
         }
 
 
+class _Opened(NamedTuple):
+    cleaned: PreparedRuns
+    doors: tuple[DoorOpening, ...]
+    twin: TriedTwin
+
+
 def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: str) -> Diagnosis:
     """From a twin and runs to what it lacks. Errors: DataError for runs that the twin can't be fitted to"""
     begun_s = time.monotonic()
@@ -122,15 +132,7 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
     seeds = [(frozenset(item.effects), begun(item.with_them())) for item in prepared.seeds]
     names = choice.grow([item for item in seeds if item[0] <= set(choice.candidates)])
     telling("doors and wrong readings")
-    cleaned, doors = with_events(prepared, choice.tried[names].fit)
-    if cleaned is not prepared:
-        again = _choice(cleaned, telling)
-        again.attempt([(names, choice.tried[names].fit)])
-        then = again.grow()
-        if OPENED in then or not doors:
-            prepared, choice, names = cleaned, again, then
-        else:
-            doors = ()  # nothing is forecast better with them
+    prepared, choice, names, doors = _with_events(prepared, choice, names, telling)
     telling("what has no name")
     handed = choice.close_gap(names)
     choice.attempt_from(handed, [handed - {name} for name in names])
@@ -152,6 +154,55 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
         time.monotonic() - begun_s,
     )  # fmt: skip
     return replace(result, against_adopting=_against(result))
+
+
+def _with_events(
+    given: PreparedRuns, choice: TwinChoice, names: Names, telling: Telling
+) -> tuple[PreparedRuns, TwinChoice, Names, tuple[DoorOpening, ...]]:
+    """Return the runs without wrong readings and with doors found in them, what is chosen, and the doors.
+
+    What a twin lacks can hide behind doors, and doors behind that: they are also sought by twins with what
+    most boxes have. A twin that knows more tells better when a door was open, and for how much of a row.
+    """
+    cleaned, doors = with_events(given, choice.tried[names].fit)
+    if not doors:
+        if cleaned is given:
+            return given, choice, names, ()
+        again = _choice(cleaned, telling)
+        again.attempt([(names, choice.tried[names].fit)])
+        return cleaned, again, again.grow(), ()
+    usual = [name for name in choice.candidates if name in EFFECTS and EFFECTS[name].common]
+    sets = [key for key in {names, *(names | {name} for name in usual)} if len(key) < MOST_ADDED]
+    choice.attempt_from(names, sets)
+    found = [_with_doors(given, choice.tried[key], telling) for key in sets]
+    best = min(filter(None, found), key=lambda item: item.twin.left_out_k, default=None)
+    if best is None:
+        return given, choice, names, ()
+    for _ in range(LOOKS):
+        now = _with_doors(given, best.twin, telling)
+        if now is None or now.twin.left_out_k >= best.twin.left_out_k:
+            break
+        best = now
+    again = _choice(best.cleaned, telling)
+    again.attempt([(names, choice.tried[names].fit), (best.twin.added, best.twin.fit)])
+    then = again.grow()
+    # Otherwise nothing is forecast better with them.
+    return (best.cleaned, again, then, best.doors) if OPENED in then else (given, choice, names, ())
+
+
+def _with_doors(given: PreparedRuns, known: TriedTwin, telling: Telling) -> _Opened | None:
+    """Return a twin with the doors that it finds, as wide as they look at first; None without any."""
+    kept = {name: own for name, own in known.fit.file.effects.items() if name != OPENED}
+    shut = replace(known.fit, file=replace(known.fit.file, effects=kept))
+    cleaned, doors = with_events(given, shut)
+    if not doors:
+        return None
+    wide = float(np.median([door.conductance_w_k for door in doors]))
+    values = {item.name: Value(wide, fit=True) for item in EFFECTS[OPENED].parameters}
+    choice = _choice(cleaned, telling)
+    names = known.added | {OPENED}
+    choice.attempt([(names, begun(replace(shut.file, effects={**kept, OPENED: values})))])
+    return _Opened(cleaned, doors, choice.tried[names])
 
 
 def _choice(known: PreparedRuns, telling: Telling) -> TwinChoice:

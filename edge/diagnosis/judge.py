@@ -127,7 +127,7 @@ def judge(
         pair = choice.tried[added], choice.tried[added - {name}]
         against = _against(name, *pair, evidence, choice.file.sample_s)
         if name in found:
-            against.append("its input was found in the runs, not recorded")
+            against.append("when it was open was found in the runs, not recorded")
         elif not _is_name(name):
             unnamed = max(unnamed, evidence.more)
         elif common := [other for other in others if not _is_name(other)]:

@@ -308,20 +308,35 @@ def _located_events(
         others = [shape for shape in part if shape.kind != "door" and not _touches(shape, doors)]
         left = innovations[i] - sum((s.size * run.response(s) for s in others), start=np.zeros(()))
         every.append(openings(run, left, doors))
-    # A short opening does not tell how wide it was; the usual long one does.
-    wide = [full_w_k(item) for part in every for item in part if is_long(item)]
-    usual = float(np.median(wide)) if wide else 0.0
+    # A short opening does not tell how wide it was; the usual long one does. Slow errors behind an opening
+    # look like more of them, hardly open.
+    usual = _usual_w_k([item for part in every for item in part if is_long(item)])
     door_open, told = np.zeros_like(runs.duty), []
     for i, (name, found_here) in enumerate(zip(names, every, strict=True)):
         for item in found_here:
             full = full_w_k(item) if is_long(item) else max(full_w_k(item), usual)
-            share = shares(item, full)
-            if not (share > 0.0).any():
+            if full <= SMALLEST * usual:
                 continue  # beside the usual door's conductance it is none
+            share = shares(item, full) * min(1.0, full / usual if usual > 0.0 else 1.0)
+            share[share < SMALLEST] = 0.0
+            if not (share > 0.0).any():
+                continue
             rows = slice(item.begin, item.begin + len(share))
             door_open[i, rows] = np.maximum(door_open[i, rows], share)
             told.append(_door(name, step_s, item, share, full, shapes[i].excess))
     return LocatedEvents(tuple(told), door_open, wrong)
+
+
+def _usual_w_k(doors: Sequence[Opening]) -> float:
+    """Return the median conductance, weighted by what each door explains; 0 without any."""
+    if not doors:
+        return 0.0
+    wide, explained = (
+        np.array(own) for own in zip(*((full_w_k(d), d.shape.z**2) for d in doors), strict=True)
+    )
+    order = np.argsort(wide)
+    half = 0.5 * explained.sum()
+    return float(wide[order][np.searchsorted(np.cumsum(explained[order]), half)])
 
 
 def _touches(shape: EventShape, doors: list[EventShape]) -> bool:

@@ -68,6 +68,12 @@ def probability(value: float | None) -> str:
     return DASH if value is None else f"{value:.2f}"
 
 
+def clock(seconds: float) -> str:
+    """`2:51:50`."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{rest:02}"
+
+
 def duration(seconds: float) -> str:
     """`45 s`, `30 min`, `2.5 h`, `14 d`."""
     for length_s, unit in ((172800.0, "d"), (7200.0, "h"), (120.0, "min")):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.diagnosis.diagnosis_document import WHENS, DiagnosisDocument
-from edge.diagnosis.report.number_text import duration, kelvin, percent, probability
+from edge.diagnosis.report.number_text import clock, duration, kelvin, percent, probability
 from edge.diagnosis.report.wording import (
     ROLES,
     beaten,
@@ -29,6 +29,7 @@ from edge.diagnosis.report.wording import (
 
 COLUMNS = 100  # of a line
 REGIMES = 2
+MOST_TIMES = 6
 
 
 def summary_text(document: DiagnosisDocument, folder: str = "report", page: str | None = None) -> str:
@@ -47,6 +48,7 @@ def _lines(document: DiagnosisDocument, folder: str) -> Iterator[str]:
     yield from _regimes(document)
     yield from _effects(document)
     yield from _doubtful(document)
+    yield from _events(document)
     yield from _gap_rows(document)
     for sentence in (*cautions(document), *beaten(document)):
         yield from _wrap(sentence)
@@ -86,6 +88,19 @@ def _doubtful(document: DiagnosisDocument) -> Iterator[str]:
         yield "What explains these runs too, and does not stand:"
     for item in document.get("doubtful", ()):
         yield from _wrap(f"{item['name']}: {'; '.join(item['against'])}")
+
+
+def _events(document: DiagnosisDocument) -> Iterator[str]:
+    """Yield when doors were open, run by run."""
+    by_run: dict[str, list[str]] = {}
+    for event in document["events"]:
+        text = f"{clock(event['from_s'])} to {clock(event['to_s'])}"
+        by_run.setdefault(event["run"], []).append(text)
+    if by_run:
+        yield "A door or lid was open; found in the runs, not recorded (h:min:s):"
+    for run, times in by_run.items():
+        more = [f"{len(times) - MOST_TIMES} more"] if len(times) > MOST_TIMES else []
+        yield from _wrap(f"{run}: {', '.join([*times[:MOST_TIMES], *more])}")
 
 
 def _gap_rows(document: DiagnosisDocument) -> Iterator[str]:
