@@ -93,7 +93,7 @@ def _doubtful(document: DiagnosisDocument) -> Iterator[str]:
 def _events(document: DiagnosisDocument) -> Iterator[str]:
     """Yield when doors were open, run by run."""
     by_run: dict[str, list[str]] = {}
-    for event in document["events"]:
+    for event in document.get("events", ()):
         text = f"{clock(event['from_s'])} to {clock(event['to_s'])}"
         by_run.setdefault(event["run"], []).append(text)
     if by_run:
