@@ -30,7 +30,6 @@ PICTURES = {
 }  # file -> label's begin
 PICTURE = re.compile(r'<svg role="img" aria-label="([^"]*)"(.*?)</svg>', re.DOTALL)
 ANSWER = re.compile(r"(<!-- diagnosis -->\n```\n).*?(```\n)", re.DOTALL)  # in the manual
-SECONDS = re.compile(r"^Took .*\n", re.MULTILINE)
 
 
 def command(twin: Path, report: Path) -> str:
@@ -47,7 +46,7 @@ def walk(folder: Path) -> str:
     for words in commands:
         shown = words.replace(str(twin), str(EXAMPLE / "twin.yaml")).replace(f"{folder}/", "out/")
         said = _run(words).replace(str(twin), str(EXAMPLE / "twin.yaml")).replace(f"{folder}/", "out/")
-        lines += [f"$ {shown}", SECONDS.sub("", said)]
+        lines += [f"$ {shown}", said]
     return "\n".join(lines)
 
 

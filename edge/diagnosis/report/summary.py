@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.diagnosis.diagnosis_document import WHENS, DiagnosisDocument
-from edge.diagnosis.report.number_text import clock, duration, kelvin, percent, probability
+from edge.diagnosis.report.number_text import clock, kelvin, percent, probability
 from edge.diagnosis.report.wording import (
     ROLES,
     beaten,
@@ -29,7 +29,7 @@ from edge.diagnosis.report.wording import (
 
 COLUMNS = 100  # of a line
 REGIMES = 2
-MOST_TIMES = 6
+MOST_EVENTS = 8
 
 
 def summary_text(document: DiagnosisDocument, folder: str = "report", page: str | None = None) -> str:
@@ -58,7 +58,6 @@ def _lines(document: DiagnosisDocument, folder: str) -> Iterator[str]:
         yield f"To adopt the new twin: greenhouse twin adopt {shlex.quote(folder)}"
     for reason in document.get("against_adopting", ()) if is_changed(document) else ():
         yield from _wrap(f"Not to be adopted: {reason}", "")
-    yield f"Took {duration(document['seconds'])}."
 
 
 def _regimes(document: DiagnosisDocument) -> Iterator[str]:
@@ -92,15 +91,15 @@ def _doubtful(document: DiagnosisDocument) -> Iterator[str]:
 
 def _events(document: DiagnosisDocument) -> Iterator[str]:
     """Yield when doors were open, run by run."""
+    events = document.get("events", ())
     by_run: dict[str, list[str]] = {}
-    for event in document.get("events", ()):
+    for event in events[:MOST_EVENTS]:
         text = f"{clock(event['from_s'])} to {clock(event['to_s'])}"
         by_run.setdefault(event["run"], []).append(text)
-    if by_run:
-        yield "A door or lid was open; found in the runs, not recorded (h:min:s):"
-    for run, times in by_run.items():
-        more = [f"{len(times) - MOST_TIMES} more"] if len(times) > MOST_TIMES else []
-        yield from _wrap(f"{run}: {', '.join([*times[:MOST_TIMES], *more])}")
+    told = [f"{run} {', '.join(times)}" for run, times in by_run.items()]
+    told += [f"{len(events) - MOST_EVENTS} more"] if len(events) > MOST_EVENTS else []
+    if told:
+        yield from _wrap(f"A door or lid was open, found and not recorded: {'; '.join(told)}", "", "  ")
 
 
 def _gap_rows(document: DiagnosisDocument) -> Iterator[str]:
