@@ -88,8 +88,8 @@ def pizza_oven(text: str) -> Columns:
     found = _table(text[text.index("Index") :])
     column = {name.partition(" (")[0]: np.array([*map(float, words)]) for name, words in found.items()}
     room = column.get("Ambient temperature")
-    air = column.get("Oven temperature", column.get("Temperature"))
-    duty = column.get("PWM controller", column.get("pwm_controller"))
+    air = column["Oven temperature" if "Oven temperature" in column else "Temperature"]
+    duty = column["PWM controller" if "PWM controller" in column else "pwm_controller"]
     own = {"time_s": column["Time"] / 1000.0, "temp_air_c": air, "heater_duty": duty / 100.0}
     return finish(own if room is None else own | {"temp_ambient_c": room}, every=2)
 

@@ -13,6 +13,7 @@ USUAL_ROOM_C, ABOVE_K = 24.0, 0.5  # of a run that begins warm: at most, and as 
 STILL_ROWS = 4  # at the begin of a run, that tell whether it rests
 STILL_SHARE, COLD_SHARE = 0.01, 0.1  # of all that the air moves by: so still, so near its coldest
 SDS = 3.0
+RECURS = 3  # times, of a reading in steps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,13 +56,16 @@ def reading_noise_k(runs: Sequence[RecordedRun]) -> float:
 
     Their median leaves out what inputs do. A reading in steps has at least their rounding's error.
     """
-    second, steps = [], []
-    for run in runs:
-        known = run.columns["temp_air_c"][np.isfinite(run.columns["temp_air_c"])]
-        first = np.diff(known)
-        second.append(np.abs(np.diff(first)))
-        steps.append(np.abs(first[first != 0.0]))
-    moved = np.concatenate(steps)
-    rounding_k = float(moved.min()) / 12**0.5 if len(moved) else 0.0
-    spread_k = float(np.median(np.concatenate(second))) / 0.6745 / 6**0.5
-    return max(spread_k, rounding_k, 1e-3)
+    every = [run.columns["temp_air_c"][np.isfinite(run.columns["temp_air_c"])] for run in runs]
+    second = np.concatenate([np.abs(np.diff(known, 2)) for known in every])
+    spread_k = float(np.median(second)) / 0.6745 / 6**0.5
+    return max(spread_k, _step_k(np.concatenate(every)) / 12**0.5, 1e-3)
+
+
+def _step_k(known: Floats) -> float:
+    """Return the distance of readings that recur; 0 where none do. Resampled rows lie between them."""
+    values, counts = np.unique(np.round(known, 6), return_counts=True)
+    order = np.argsort(-counts)
+    usual = order[: int(np.searchsorted(np.cumsum(counts[order]), 0.5 * len(known))) + 1]
+    often = np.sort(values[usual[counts[usual] >= RECURS]])
+    return float(np.diff(often).min()) if len(often) > 1 else 0.0

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from operator import mul
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,9 @@ LARGE = 0.5  # a logarithm: so much less is missed with what is no name, for tha
 # Of a logistic regression over 62 names of 48 development cases (bench.foreign, seeds 0 to 7 of each kind,
 # and bench.real_truth), rounded towards doubt: intercept, and slopes of how clearly and by how much left-out
 # rows, and how much fitted rows, are missed without a name.
-INTERCEPT, CLEARNESS, LEFT_OUT, FITTED, UNEXPLAINED = -1.75, 0.1, 1.5, 1.3, -0.1
+INTERCEPT, SLOPES = -1.75, (0.1, 1.5, 1.3, -0.1, 0.0)
+CLEAREST, LARGEST = 10.0, 1.5  # of evidence; more of it makes a name no surer
+LAGS = (ParameterKind.AIR_LAG, ParameterKind.LAG, ParameterKind.DEAD_TIME)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +40,7 @@ class NameEvidence:
     more, error : how much more left-out rows are missed without it, a logarithm, and its standard error
     fitted : the same of rows that were fitted; unexplained : of what the twin misses over a reading's noise
     with_k, without_k : errors over left-out rows [K]; blocks : of them
+    is_slow : a lag or a body that stores heat, which every box has
     """
 
     more: float
@@ -46,18 +50,19 @@ class NameEvidence:
     with_k: float
     without_k: float
     blocks: int
+    is_slow: bool
+
+    @property
+    def features(self) -> tuple[float, ...]:
+        """Numbers that tell how likely a name is right, for SLOPES."""
+        clear = min(self.more / max(self.error, 1e-6), CLEAREST)
+        more, fitted = min(self.more, LARGEST), min(self.fitted, LARGEST)
+        return clear, more, fitted, self.unexplained, float(self.is_slow)
 
     @property
     def probability(self) -> float:
         """That the name, or one that a log can't tell from it, is right."""
-        clear = min(self.more / max(self.error, 1e-6), 10.0)
-        odds = (
-            INTERCEPT
-            + CLEARNESS * clear
-            + LEFT_OUT * min(self.more, 1.5)
-            + FITTED * min(self.fitted, 1.5)
-            + UNEXPLAINED * self.unexplained
-        )
+        odds = INTERCEPT + sum(map(mul, SLOPES, self.features))
         return min(MOST_SURE, 1.0 / (1.0 + math.exp(-odds)))
 
 
@@ -128,9 +133,9 @@ def judge(
         against = _against(name, *pair, evidence, choice.file.sample_s)
         if name in found:
             against.append("when it was open was found in the runs, not recorded")
-        elif not _is_name(name):
+        elif not is_name(name):
             unnamed = max(unnamed, evidence.more)
-        elif common := [other for other in others if not _is_name(other)]:
+        elif common := [other for other in others if not is_name(other)]:
             against.append(f"it can't be told from {common[0]}, which is in every warm box")
             unnamed = max(unnamed, evidence.more)
         if against:
@@ -169,28 +174,38 @@ def evidence_of(choice: TwinChoice, names: Names, name: str) -> NameEvidence:
         own.left_out_k,
         less.left_out_k,
         len(own.left_out),
+        _is_slow(name),
     )
 
 
-def _is_name(name: str) -> bool:
+def _is_slow(name: str) -> bool:
+    effect = EFFECTS.get(name)
+    return effect is not None and (
+        effect.time_constant is not None or any(item.kind in LAGS for item in effect.parameters)
+    )
+
+
+def is_name(name: str) -> bool:
+    """Return whether a term of a twin names a cause."""
     return name in EFFECTS and EFFECTS[name].offer is Offer.CANDIDATE
 
 
 def _against(
     name: str, with_it: TriedTwin, without: TriedTwin, evidence: NameEvidence, step_s: float
 ) -> list[str]:
-    if not _is_name(name):
+    if not is_name(name):
         return ["it is no name for a cause"]
     found = []
     for item, x in zip(with_it.fit.free, with_it.fit.x, strict=True):
         if item.place[:2] != ("effects", name):
             continue
         kind = EFFECTS[name].parameter(item.place[2]).kind
-        is_time = kind in (ParameterKind.AIR_LAG, ParameterKind.LAG, ParameterKind.DEAD_TIME)
-        if is_time and item.value(x) < SHORTEST_ROWS * step_s:
+        if kind in LAGS and item.value(x) < SHORTEST_ROWS * step_s:
             found.append(
                 f"{item.place[2]} is {item.value(x):.3g} s, and rows of {step_s:g} s can't show that"
             )
+    if evidence.more <= 0.0:
+        found.append("left-out rows are forecast no worse without it")
     if without.fit.rmse_k < PAYS * with_it.fit.rmse_k:
         found.append("it is needless beside what else the twin has")
     if evidence.probability < LIKELY:

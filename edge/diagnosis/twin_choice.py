@@ -110,7 +110,7 @@ class TwinChoice:
         near = []
         for item in items:
             more, error = item.behind(first, self.runs.noise_k)
-            if not more > max(CLEARLY * error, MATTERS):
+            if not more > max(error, MATTERS):
                 near.append(item)
         closest = min(item.fit.rmse_k for item in near)
         close = [item for item in near if item.fit.rmse_k <= AS_CLOSE * max(closest, self.runs.noise_k)]
@@ -138,6 +138,8 @@ class TwinChoice:
     def grow(self, seeds: Iterable[tuple[Names, Begun]] = ()) -> Names:
         """Add, take away and exchange effects while left-out rows are forecast better."""
         self.attempt([(frozenset(), begun(self.file)), *seeds])
+        for seed in [*self.tried]:
+            self._try_one_more(frozenset(), [*seed])
         now = self.best(self.tried)
         while True:
             self.tell(" + ".join(sorted(now)) or "as given")
