@@ -35,6 +35,7 @@ from edge.twin.twin_file import read_twin_file
 Floats = NDArray[np.float64]
 TRAINS = 0.65
 SURE = 0.9
+DARK_GREY = Path(__file__).with_name("dark_grey.py")
 NO_WORSE = 1.05
 SAID = re.compile(r": (\w+) is the simplest within .* held out ([\d.e+-]+) K")
 SCRIPT_COLUMNS = ("time_s", "temp_air_c", "heater_duty", "temp_ambient_c", "fan_on", "light", "solar_w_m2")
@@ -46,6 +47,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="logs of the folder README")
     parser.add_argument("--repositories", type=Path, default=Path("../repositories"), help="clones of others")
     parser.add_argument("--yardstick", type=Path, help="least_squares.py, to compare with")
+    parser.add_argument("--dark-grey", help="a python that has darkgreybox 0.3.2, to compare with")
     parser.add_argument("--split", choices=("dev", "scored", "kept"), nargs="+", default=["dev"])
     parser.add_argument("--only", help="logs with this in their names")
     parser.add_argument("--out", type=Path, help="keep cases and answers here")
@@ -53,15 +55,24 @@ def main(words: Sequence[str] | None = None) -> int:
     logs = [log for log in LOGS if log.split in arguments.split and (arguments.only or "") in log.name]
     with tempfile.TemporaryDirectory() as folder:
         out = arguments.out or Path(folder)
-        text = report(logs, out, arguments.data, arguments.repositories, arguments.yardstick)
+        places = out, arguments.data, arguments.repositories
+        text = report(logs, *places, arguments.yardstick, arguments.dark_grey)
     print(text, end="")
     return 0
 
 
 def report(
-    logs: Sequence[RealLog], out: Path, data: Path, repositories: Path, script: Path | None = None
+    logs: Sequence[RealLog],
+    out: Path,
+    data: Path,
+    repositories: Path,
+    script: Path | None = None,
+    dark_grey: str | None = None,
 ) -> str:
-    """Cases and answers under `out`; a line a log and what they come to."""
+    """Cases and answers under `out`; a line a log and what they come to.
+
+    script : least_squares.py; dark_grey : a python that has darkgreybox
+    """
     lines, found, ratios = [], [], []
     for log in logs:
         folder = out / "cases" / folder_name(log)
@@ -83,16 +94,19 @@ def report(
         found.append((log, document))
         lines += _lines(log, document, run)
         if script is not None:
-            said, rival_k = yardstick(script, folder, out / "yardstick" / folder.name)
+            said, rival_k = peer(sys.executable, script, folder, out / "yardstick" / folder.name)
             ratios.append(_tests(document)["after"] / rival_k)
             lines.append(f"    script: {said} {rival_k:.3g}, ratio {ratios[-1]:.2f}")
+        if dark_grey is not None:
+            said, rival_k = peer(dark_grey, DARK_GREY, folder, out / "darkgreybox" / folder.name)
+            lines.append(f"    DarkGreyBox: {said} {rival_k:.3g}")
     return "\n".join([*lines, "", *_totals(found), *_ratios(ratios)]) + "\n"
 
 
-def yardstick(script: Path, case: Path, folder: Path) -> tuple[str, float]:
-    """Return the model that the script chooses and its error over the same rows [K].
+def peer(python: str, script: Path, case: Path, folder: Path) -> tuple[str, float]:
+    """Return the model that a script chooses and its error over the same rows [K].
 
-    case : as `write` leaves it; folder : for the rows as the script reads them
+    case : as `write` leaves it; folder : for the rows as a script reads them
     Errors : DataError where it does not answer
     """
     train, tests = (sorted(case.glob(f"{role}_*.csv")) for role in ("train", "test"))
@@ -108,7 +122,7 @@ def yardstick(script: Path, case: Path, folder: Path) -> tuple[str, float]:
         facts += "" if named.from_s is None else f"# validate_from_s: {named.from_s:g}\n"
         name = "run" if not tests and i == 0 else f"{role}_{i:02}"
         (folder / f"{name}.csv").write_text(facts + _csv(named.run.columns), encoding="utf-8")
-    command = [sys.executable, str(script), str(folder)]
+    command = [python, str(script), str(folder)]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     said = SAID.search(found.stdout)
     if said is None:

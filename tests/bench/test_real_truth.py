@@ -4,6 +4,7 @@ import io
 import json
 import pickle
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -341,7 +342,7 @@ def test_the_script_gets_the_rows_of_a_case(tmp_path: Path) -> None:
     for whole, said in ((True, "3x300"), (False, "1x301")):  # the fact that says where judging begins
         log, folder = replace(KIT, whole=whole, step_s=3.0), tmp_path / said
         write(log, folder, [text.replace(",0.5", f",0.{5 + k}") for k in range(3 if whole else 1)])
-        assert real_truth.yardstick(script, folder, folder / "script") == (said, 0.5)
+        assert real_truth.peer(sys.executable, script, folder, folder / "script") == (said, 0.5)
     script.write_text("import sys\nsys.exit('it failed')", encoding="utf-8")
     with pytest.raises(DataError, match=r"script\.py: \['it failed'\]"):
-        real_truth.yardstick(script, folder, folder / "script")
+        real_truth.peer(sys.executable, script, folder, folder / "script")
