@@ -4,14 +4,23 @@ import math
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from operator import mul
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.depends import Dependence, dependences
 from edge.diagnosis.diagnosis_document import VerdictKind
-from edge.diagnosis.twin_choice import CLEARLY, EXPLAINED, MATTERS, PAYS, Names, TriedTwin, TwinChoice
+from edge.diagnosis.twin_choice import (
+    CLEARLY,
+    EXPLAINED,
+    MATTERS,
+    PAYS,
+    Names,
+    TriedTwin,
+    TwinChoice,
+    features,
+    log_odds,
+)
 from edge.diagnosis.twin_fit import FittedTwin
 from edge.diagnosis.unknowns import UnknownValue
 from edge.twin.effects.effect import Offer, ParameterKind
@@ -25,11 +34,8 @@ SHORTEST_ROWS = 0.5  # of a lag that rows can show
 UNEXPLAINED_FROM = 3.0  # times a reading's noise: something is missing that has no name
 ALIKE = 1.1  # times the error over fitted rows, for another name to explain them as well
 LARGE = 0.5  # a logarithm: so much less is missed with what is no name, for that to be what is missing
-# Of a logistic regression over 62 names of 48 development cases (bench.foreign, seeds 0 to 7 of each kind,
-# and bench.real_truth), rounded towards doubt: intercept, and slopes of how clearly and by how much left-out
-# rows, and how much fitted rows, are missed without a name.
-INTERCEPT, SLOPES = -1.75, (0.1, 1.5, 1.3, -0.1, 0.0)
-CLEAREST, LARGEST = 10.0, 1.5  # of evidence; more of it makes a name no surer
+# Log odds by what the twin misses over a reading's noise, and for a lag or a body.
+UNEXPLAINED, SLOW = -0.1, 0.0
 LAGS = (ParameterKind.AIR_LAG, ParameterKind.LAG, ParameterKind.DEAD_TIME)
 
 
@@ -54,15 +60,14 @@ class NameEvidence:
 
     @property
     def features(self) -> tuple[float, ...]:
-        """Numbers that tell how likely a name is right, for SLOPES."""
-        clear = min(self.more / max(self.error, 1e-6), CLEAREST)
-        more, fitted = min(self.more, LARGEST), min(self.fitted, LARGEST)
-        return clear, more, fitted, self.unexplained, float(self.is_slow)
+        """Numbers that tell how likely a name is right."""
+        return (*features(self.more, self.error, self.fitted), self.unexplained, float(self.is_slow))
 
     @property
     def probability(self) -> float:
         """That the name, or one that a log can't tell from it, is right."""
-        odds = INTERCEPT + sum(map(mul, SLOPES, self.features))
+        odds = log_odds(self.more, self.error, self.fitted)
+        odds += UNEXPLAINED * self.unexplained + SLOW * self.is_slow
         return min(MOST_SURE, 1.0 / (1.0 + math.exp(-odds)))
 
 

@@ -143,7 +143,8 @@ def prepare(file: TwinFile, data: DiagnosisRuns, telling: Telling = lambda text:
         ambient[~guessed] = over_rows(ambient[~guessed])
     runs = replace(runs, ambient=ambient)
     seeds: list[NamedValues] = []
-    if any(place[1] in (LOSING, STORING) for place in work.to_fit()):  # nothing is known of how fast it is
+    unknown = any(place[1] in (LOSING, STORING) for place in work.to_fit())
+    if unknown and runs.duty.any():  # else nothing tells watts
         telling("grey boxes")
         grey, columns = _choose_grey(work, runs, bool(guessed.any()), resting, noise_k)
         for key in dict.fromkeys((grey.terms, frozenset[str]())):

@@ -102,6 +102,7 @@ Mask = NDArray[np.bool_]
 SPIKE_SDS, SPIKE_K = 6.0, 1.5  # a reading this far from both neighbours, which agree, is no temperature
 FIRST_AGREE = 0.1  # of how far a first reading is off, that the next two may be apart
 MOSTLY_DIFFERENT, BY_CHANCE = 0.5, 1e-4  # shares of readings: that repeat the last; that are called stuck
+STUCK_CHANGES = 2.0  # usual ones, from a stuck reading to the next
 LEAST_ROWS = 30  # beside a stretch, that tell how readings usually are
 AFTER_CHANGE = 0.2  # share of a change in one direction alone
 DUTY_JUMP_K, FAN_JUMP_K = 20.0, 10.0  # more than the air changes in a row by all the heat, or by the fan
@@ -154,7 +155,8 @@ def stuck_readings(runs: RunBatch) -> Mask:
     """Return the readings that repeat for longer than chance allows,
     without the first of each stretch, [B, N + 1].
 
-    Only where readings mostly differ from one row to the next: a coarse or steady sensor repeats itself.
+    Only where readings mostly differ from one row to the next: a coarse or steady sensor repeats itself. What
+    goes on from where it stood was steady.
     """
     temp = runs.temp
     same = np.zeros(temp.shape, dtype=bool)
@@ -167,8 +169,11 @@ def stuck_readings(runs: RunBatch) -> Mask:
     found = np.zeros(temp.shape, dtype=bool)
     if usual > MOSTLY_DIFFERENT or rows - longest < LEAST_ROWS:
         return found
+    change = np.abs(np.diff(temp, axis=1))
+    far_k = STUCK_CHANGES * float(np.median(change[change > 0.0]))
     for i, first, end in stretches:
-        if np.log(rows) + (end - first) * np.log(usual) < np.log(BY_CHANCE):
+        goes_on = end < temp.shape[1] and np.abs(temp[i, end] - temp[i, end - 1]) <= far_k
+        if not goes_on and np.log(rows) + (end - first) * np.log(usual) < np.log(BY_CHANCE):
             found[i, first:end] = True
     return found
 
