@@ -80,12 +80,17 @@ def test_the_heater_that_lags_is_the_best_of_the_simple_twins_where_it_does(foun
 def test_a_twin_is_not_offered_where_it_predicts_no_better(found: Diagnosis) -> None:
     given = found.choice.tried[frozenset()]
     verdict = replace(found.verdict, handed=given)
-    worse, simpler = _against(replace(found, verdict=verdict))
+    worse, simpler, *_ = _against(replace(found, verdict=verdict))
     assert "those of the twin as given" in worse
     assert simpler.startswith("over left-out rows heater lag misses by")
-    tested = replace(found.baselines, left_out_k={"one mass": 0.0})
+    missed = found.baselines.left_out_k
+    tested = replace(found.baselines, left_out_k={**missed, "one mass": 0.0})
     [better] = _against(replace(found, baselines=tested))
     assert better.startswith("over left-out rows one mass misses by 0 K")
+    own_k = found.verdict.handed.left_out_k
+    for share, is_said in ((0.9, False), (0.7, True)):  # an ARX is no twin: a little better is no reason
+        tested = replace(found.baselines, left_out_k={**missed, "ARX 2": share * own_k})
+        assert any("run MPC-P" in line for line in _against(replace(found, baselines=tested))) == is_said
 
 
 def test_order_date_and_files_of_the_runs_change_no_answer(found: Diagnosis) -> None:
