@@ -28,7 +28,7 @@ MOST_ADDED = 4
 CLEARLY, MATTERS = 2.0, 0.03
 PAYS = 1.02  # times the error over fitted rows, that an effect must take away from these too
 AS_CLOSE = 1.2  # times the least error of a fit: where left-out rows tell too little, one that fits
-ROUGHLY, FINELY, AGAIN = 3, 15, 4  # iterations
+ROUGHLY, FINELY, AGAIN = 3, 50, 4  # iterations
 OPEN = "~open values"  # among effects: what the file is uncertain of, as if nothing were known of it
 EXPLAINED, MUCH, MOST_UNNAMED = 2.0, 0.15, 2  # times a reading's noise; a logarithm that a nameless heat pays
 RUNNERS_UP = 3
@@ -92,14 +92,17 @@ class TwinChoice:
     screened: dict[Names, tuple[FittedTwin, float]] = field(default_factory=dict)
 
     def attempt(self, starts: Iterable[tuple[Names, Begun | FittedTwin]]) -> None:
-        """Fit sets that were not yet, and forecast left-out rows."""
-        new = {names: start for names, start in starts if names not in self.tried}
+        """Fit sets that were not yet, and forecast left-out rows; of several starts the best one is kept."""
+        new = [(names, start) for names, start in starts if names not in self.tried]
         if not new:
             return
-        fits = fit_twins(list(new.values()), self.runs, FINELY)
+        fits = fit_twins([start for _, start in new], self.runs, FINELY)
         folds = folds_of(self.runs)
-        for names, fit, errors in zip(new, fits, left_out_errors(fits, folds, self.runs, AGAIN), strict=True):
-            self.tried[names] = TriedTwin(names, fit, *block_squares(errors, folds))
+        found = zip(new, fits, left_out_errors(fits, folds, self.runs, AGAIN), strict=True)
+        for (names, _), fit, errors in found:
+            item = TriedTwin(names, fit, *block_squares(errors, folds))
+            if names not in self.tried or item.left_out_k < self.tried[names].left_out_k:
+                self.tried[names] = item
 
     def screen(self, wanted: Iterable[Names], near: Names) -> None:
         """Fit sets roughly, from a set that is fitted, and estimate what they miss over left-out rows."""
@@ -154,9 +157,10 @@ class TwinChoice:
         less = [self.tried[names - {name}] for name in names if names - {name} in self.tried]
         return all(item.fit.rmse_k >= PAYS * own for item in less)
 
-    def grow(self, seeds: Iterable[tuple[Names, Begun]] = ()) -> Names:
+    def grow(self, seeds: Sequence[tuple[Names, Begun]] = ()) -> Names:
         """Add, take away and exchange effects while left-out rows are forecast better."""
-        self.attempt([(frozenset(), begun(self.file)), *seeds])
+        known: list[tuple[Names, Begun]] = [(frozenset(), begun(self.file)), *seeds]
+        self.attempt([*known, *((names, begun(_with(self.file, names))) for names, _ in seeds)])
         for seed in [SIMPLE, *self.tried]:
             self._try_one_more(frozenset(), [name for name in seed if name in self.candidates])
         now = self.best(self.tried)
