@@ -2,10 +2,12 @@
 
 import inspect
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.core.version import __version__
@@ -35,7 +37,10 @@ from edge.twin.effects.library import EFFECTS
 from edge.twin.value import SDS_95, Value
 
 DIGITS = 6
+INPUTS = ("heater_duty", "fan_on", "temp_ambient", "light", "solar", "rel_humidity", "door_open")
+_BRACKETS = re.compile(r"\([^()]*\)|\|[^|]*\|")
 T = TypeVar("T")
+Floats = NDArray[np.float64]
 
 
 def answer(
@@ -62,14 +67,12 @@ def answer(
         "rounds": [_round(beside, found) for beside in _path(found)],
         "formula": _formula(found.verdict.depends) if found.verdict.kind == "unknown" else None,
         "findings": [
-            *located.findings,
             *found.data.notes,
             *found.inputs.notes,
             *_contradictions(found),
             *found.data.cannot_tell,
         ],
         "events": located.events,
-        "innovations": {"before": located.whiteness("before"), "after": located.whiteness("after")},
         "data_sha256": found.data.data_sha256,
         "software": f"greenhouse-twin {__version__}",
         "command": command,
@@ -164,7 +167,9 @@ def _formula(terms: Sequence[Dependence]) -> FormulaEntry | None:
     parameters: dict[str, ParameterEntry] = {
         "a": {"value": term.value, "low": None, "high": None, "unit": term.unit}
     }
-    return {"text": f"Q = a {term.text}", "terms": [term.text], "parameters": parameters}
+    # A sum is a factor only inside brackets.
+    factor = f"({term.text})" if re.search(r" [+-] ", _BRACKETS.sub("", term.text)) else term.text
+    return {"text": f"Q = a {factor}", "terms": [term.text], "parameters": parameters}
 
 
 def _step(names: tuple[str, ...], side: Side) -> WaterfallStep:
@@ -259,27 +264,24 @@ def _trace(
 ) -> Trace:
     columns = columns_of(named.run, after.room_c)
     time_s = named.run.columns["time_s"]
-    role = "train" if named.name in found.inputs.names else "test"
-    series = {key: _fitting(values, len(time_s)) for key, values in located.series(named.name).items()}
+    innovations = located.innovations.get(named.name)
     return Trace(
         named.name,
-        role,
+        "train" if named.name in found.inputs.names else "test",
         time_s,
         columns["temp_air"],
         before.predicted,
         after.predicted,
-        columns["heater_duty"],
-        columns["fan_on"],
-        columns["temp_ambient"],
-        **series,
+        None if innovations is None else _at_rows(innovations, columns["temp_air"]),
+        {key: columns[key] for key in INPUTS if key in columns},
     )
 
 
-def _fitting(values: Any, rows: int) -> Any:
-    """One value a row of the run, from one a step: what a row's measurement tells stands at that row."""
-    filled = np.full(rows, np.nan)
-    count = min(len(values), rows - 1)
-    filled[1 : 1 + count] = values[:count]
+def _at_rows(innovations: Floats, temp_air: Floats) -> Floats:
+    """Return a value a row, from one a step after the first reading: an error stands at its reading's row."""
+    filled, first = np.full(len(temp_air), np.nan), int(np.isfinite(temp_air).argmax()) + 1
+    count = min(len(innovations), len(temp_air) - first)
+    filled[first : first + count] = innovations[:count]
     return filled
 
 

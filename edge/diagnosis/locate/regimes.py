@@ -1,6 +1,4 @@
-"""Regimes in which the twin disagrees, in words and by their share of the squared error beyond their share
-of rows.
-"""
+"""Regimes in which the twin disagrees, by their share of the squared error beyond their share of rows."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.diagnosis.diagnosis_document import RegimeEntry
 from edge.diagnosis.locate.residuals import Residuals
-from edge.diagnosis.locate.rows import DAY_S, HOUR_S, Rows, rows_of
+from edge.diagnosis.locate.rows import Rows, rows_of
+from edge.twin.model import DAY_S
 
 Floats = NDArray[np.float64]
 
@@ -19,8 +19,14 @@ Mask = NDArray[np.bool_]
 JUST_SWITCHED = (1, 2, 5)  # rows
 FIRST_ROWS = (10, 30)  # of a run
 DUTY_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0)
+THRESHOLDS = (
+    ("difference", "T - T_amb", "excess_k", "K"),
+    ("room", "T_amb", "ambient", "degC"),
+    ("rel_humidity", "the relative humidity", "rel_humidity", "%"),
+)  # subject, name, column, unit
 QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)  # near which a continuous signal is split, at a round number
 HOURS = 3  # of a part of the day
+HOUR_S = 3600.0
 STEEP_K_MIN = 0.05  # the air rises or falls, else it is steady
 
 
@@ -34,45 +40,32 @@ class Condition(NamedTuple):
 
 def conditions(rows: Rows) -> list[Condition]:
     """All single conditions that hold in some rows and not in all."""
-    every = [
-        *_switch_conditions(rows),
-        *_levels(rows),
-        *_thresholds(rows),
-        *_motion(rows),
-        *_light(rows),
-        *_times(rows),
-    ]
+    every = [*_actuators(rows), *_thresholds(rows), *_motion(rows), *_times(rows)]
     return [item for item in every if item.mask.any() and not item.mask.all()]
 
 
-def _switch_conditions(rows: Rows) -> Iterator[Condition]:
-    for actuator, values in (("heater", rows.duty), ("fan", rows.fan)):
-        yield Condition(actuator, f"the {actuator} is on", values > 0.0)
-        yield Condition(actuator, f"the {actuator} is off", values == 0.0)
-    since = {
-        ("heater", "on"): rows.heater_on_for,
-        ("heater", "off"): rows.heater_off_for,
-        ("fan", "on"): rows.fan_on_for,
-        ("fan", "off"): rows.fan_off_for,
-    }
-    for (actuator, way), ago in since.items():
+def _actuators(rows: Rows) -> Iterator[Condition]:
+    duty = rows.inputs["duty"]
+    for name, key in (("heater", "duty"), ("fan", "fan"), ("light", "light")):
+        if key in rows.inputs:
+            yield Condition(name, f"the {name} is on", rows.inputs[key] > 0.0)
+            yield Condition(name, f"the {name} is off", rows.inputs[key] == 0.0)
+    for switch, ago in rows.switches.items():
+        actuator, way = switch.split()
         for count in JUST_SWITCHED:
             first = "first row" if count == 1 else f"first {count} rows"
             yield Condition(actuator, f"the {actuator} has just gone {way} ({first})", ago < count)
-
-
-def _levels(rows: Rows) -> Iterator[Condition]:
     for low, high in pairwise(DUTY_EDGES):
-        yield Condition("heater", f"the duty is {low:g} to {high:g}", (rows.duty > low) & (rows.duty <= high))
+        yield Condition("heater", f"the duty is {low:g} to {high:g}", (duty > low) & (duty <= high))
         if 0.0 < low < 1.0:
-            yield Condition("heater", f"the duty is above {low:g}", rows.duty > low)
+            yield Condition("heater", f"the duty is above {low:g}", duty > low)
 
 
 def _thresholds(rows: Rows) -> Iterator[Condition]:
-    signals = [("difference", "T - T_amb", rows.excess_k, "K"), ("room", "T_amb", rows.ambient, "degC")]
-    if rows.rel_humidity is not None:
-        signals.append(("rel_humidity", "the relative humidity", rows.rel_humidity, "%"))
-    for about, name, values, unit in signals:
+    for about, name, key, unit in THRESHOLDS:
+        if key not in rows.inputs:
+            continue
+        values = rows.inputs[key]
         edges = _round_edges(values)
         for edge in edges:
             for sign, mask in ((">", values > edge), ("<", values < edge)):
@@ -99,25 +92,20 @@ def _motion(rows: Rows) -> Iterator[Condition]:
     yield Condition("motion", "the air is steady", np.abs(slope) <= STEEP_K_MIN)
 
 
-def _light(rows: Rows) -> Iterator[Condition]:
-    if rows.light is not None:
-        yield Condition("light", "the light is on", rows.light > 0.0)
-        yield Condition("light", "the light is off", rows.light == 0.0)
-
-
 def _times(rows: Rows) -> Iterator[Condition]:
     for count in FIRST_ROWS:
         yield Condition("begin", f"in the first {count} rows of a run", rows.row < count)
     if len(rows.names) > 1:
         for i, name in enumerate(rows.names):
             yield Condition("run", f"in {name}", rows.run == i)
-    if rows.utc_s is None:
+    if "utc_s" not in rows.inputs:
         return
-    hour = (rows.utc_s % DAY_S) / HOUR_S
+    utc_s = rows.inputs["utc_s"]
+    hour = (utc_s % DAY_S) / HOUR_S
     for begin in range(0, 24, HOURS):
         where = f"between {begin:02d} and {begin + HOURS:02d} h UTC"
         yield Condition("hour", where, (hour >= begin) & (hour < begin + HOURS))
-    day = ((rows.utc_s - rows.utc_s.min()) // DAY_S).astype(int)
+    day = ((utc_s - utc_s.min()) // DAY_S).astype(int)
     for count in np.unique(day):
         yield Condition("day", f"on day {count + 1}", day == count)
         if 0 < count < day.max():
@@ -135,35 +123,10 @@ ALIKE = 0.8  # share of the smaller one's error that two regimes have in common:
 MOST = 6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DisagreementRegime:
-    """A condition under which the twin disagrees.
+def regimes(runs: Sequence[Residuals]) -> list[RegimeEntry]:
+    """Return the regimes with clearly more of the squared error than of the rows, the strongest first.
 
-    where : in words
-    share_of_squared_error : of the free runs, 0..1, with its 95 % interval; share_of_rows : 0..1
-    rmse_k : of the free run there
-    heat_w, heat_w_se : mean residual heat and its standard error, below 0 where the twin gains too much [W]
-    masks : the rows of each run, [N] each
-    """
-
-    where: str
-    share_of_squared_error: float
-    share_low: float
-    share_high: float
-    share_of_rows: float
-    rows: int
-    rmse_k: float
-    heat_w: float
-    heat_w_se: float
-    masks: tuple[Mask, ...]
-
-
-def regimes(runs: Sequence[Residuals]) -> list[DisagreementRegime]:
-    """Return the regimes whose share of the squared error clearly exceeds
-    their share of the rows, the strongest first.
-
-    Confidence by a block bootstrap (Künsch 1989, Annals of Statistics 17). [] where the error is spread
-    evenly, or the rows are too few to tell.
+    Confidence by a block bootstrap (Künsch 1989, Annals of Statistics 17). Too few rows have no regime.
     """
     rows = rows_of(runs) if runs else None
     if rows is None or not (rows.error_k**2).sum() > 0.0:
@@ -179,7 +142,7 @@ def regimes(runs: Sequence[Residuals]) -> list[DisagreementRegime]:
     scored = [(blocks.score(item), item) for item in singles]
     scored += [(SIMPLER * blocks.score(item), item) for item in blocks.believe(pairs)]
     ranked = [item for score, item in sorted(scored, key=lambda s: -s[0]) if score > 0.0]
-    return [blocks.regime(item, runs) for item in _unlike(ranked, rows.error_k**2)]
+    return [blocks.regime(item) for item in _unlike(ranked, rows.error_k**2)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,30 +175,24 @@ class _Blocks:
         error, rows = self._shares(item.mask)
         return float((error[0] - rows[0]) - SURE_SDS * (error[1:] - rows[1:]).std())
 
-    def regime(self, item: Condition, runs: Sequence[Residuals]) -> DisagreementRegime:
+    def regime(self, item: Condition) -> RegimeEntry:
         error, share = self._shares(item.mask)
         low, high = np.quantile(error[1:], [0.025, 0.975])
-        heat = self._draw(np.where(item.mask, self.rows.heat_w, 0.0))
         held = self._draw(item.mask)
-        mean_w = heat / np.maximum(held, 1.0)
-        count = int(item.mask.sum())
-        return DisagreementRegime(
-            item.where,
-            float(error[0]),
-            float(low),
-            float(high),
-            float(share[0]),
-            count,
-            float(np.sqrt(self.squared[item.mask].mean())),
-            float(mean_w[0]),
-            float(mean_w[1:][held[1:] > 0.0].std()),
-            tuple(_back(item.mask, self.rows, i, len(run.duty)) for i, run in enumerate(runs)),
-        )
+        mean_w = self._draw(np.where(item.mask, self.rows.heat_w, 0.0)) / np.maximum(held, 1.0)
+        return {
+            "where": item.where,
+            "share_of_squared_error": float(error[0]),
+            "heat_w": float(mean_w[0]),
+            "heat_w_se": float(mean_w[1:][held[1:] > 0.0].std()),
+            "share_low": max(float(low), 0.0),  # rounding may leave it below
+            "share_high": float(high),
+            "share_of_rows": float(share[0]),
+            "rmse_k": float(np.sqrt(self.squared[item.mask].mean())),
+        }
 
     def _shares(self, mask: Mask) -> tuple[Floats, Floats]:
-        """Return the shares of the squared error and of the rows, as recorded,
-        then resampled, [1 + DRAWS] each.
-        """
+        """Return the shares of squared error and rows, as recorded, then resampled, [1 + DRAWS] each."""
         total, every = self._draw(self.squared), self._draw(np.ones_like(self.squared))
         return self._draw(np.where(mask, self.squared, 0.0)) / total, self._draw(mask) / every
 
@@ -258,19 +215,11 @@ def _unlike(ranked: list[Condition], squared: Floats) -> list[Condition]:
     """Return the first of each group of similar conditions."""
     chosen: list[Condition] = []
     for item in ranked:
-        if len(chosen) == MOST:
-            break
-        if all(_overlap(item.mask, other.mask, squared) < ALIKE for other in chosen):
+        shares = [
+            squared[item.mask & other.mask].sum()
+            / max(min(squared[item.mask].sum(), squared[other.mask].sum()), 1e-300)
+            for other in chosen
+        ]
+        if len(chosen) < MOST and all(share < ALIKE for share in shares):
             chosen.append(item)
     return chosen
-
-
-def _overlap(one: Mask, other: Mask, squared: Floats) -> float:
-    return float(squared[one & other].sum() / max(min(squared[one].sum(), squared[other].sum()), 1e-300))
-
-
-def _back(mask: Mask, rows: Rows, run: int, count: int) -> Mask:
-    found = np.zeros(count, dtype=bool)
-    here = rows.run == run
-    found[rows.row[here]] = mask[here]
-    return found

@@ -14,19 +14,15 @@ STYLE = """
 * { box-sizing: border-box }
 body { margin: 0 auto; padding: 1.2rem 1rem 3rem; max-width: 50rem; background: var(--page);
   color: var(--ink); font: 16px/1.5 system-ui, sans-serif; overflow-wrap: break-word }
-h1 { font-size: clamp(1.45rem, 5vw, 2rem); line-height: 1.2; margin: .3rem 0 .8rem }
-h2 { font-size: 1.25rem; margin: 2.4rem 0 .6rem; padding-top: .8rem; border-top: 1px solid var(--line) }
-h3 { font-size: 1.02rem; margin: 1.4rem 0 .4rem }
-p { margin: .5rem 0 }
+h1 { font-size: clamp(1.25rem, 4.5vw, 1.6rem); line-height: 1.25; margin: .2rem 0 .6rem }
+h2 { font-size: 1.2rem; margin: 1.6rem 0 .5rem; padding-top: .7rem; border-top: 1px solid var(--line) }
+h3 { font-size: 1.02rem; margin: 1rem 0 .2rem }
+h3 code { font-weight: normal }
+p { margin: .4rem 0 }
 .verdict { font-weight: 600; font-size: .85rem; letter-spacing: .04em; text-transform: uppercase }
 .named { color: var(--after) } .nothing_missing { color: var(--good) } .unknown { color: var(--open) }
-.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(10rem, 1fr)); gap: .6rem;
-  margin: 1.2rem 0 }
-.tile, figure { background: var(--card); border: 1px solid var(--line); border-radius: .5rem }
-.tile { padding: .6rem .8rem }
-.tile b { display: block; font-size: 1.55rem; line-height: 1.25; white-space: nowrap }
-.tile span, figcaption, .soft { color: var(--soft); font-size: .875rem }
-.before { color: var(--before) } .after { color: var(--after) }
+figure { background: var(--card); border: 1px solid var(--line); border-radius: .5rem }
+figcaption, .soft { color: var(--soft); font-size: .875rem }
 figure { margin: 1rem 0; padding: .6rem }
 figure svg { display: block; width: 100%; max-width: 40rem; height: auto; margin: auto; color: var(--ink) }
 figcaption { margin-top: .4rem }
@@ -35,18 +31,14 @@ table { border-collapse: collapse; font-size: .9rem; min-width: 100% }
 th, td { border-bottom: 1px solid var(--line); padding: .32rem .6rem; text-align: right; vertical-align: top }
 th { color: var(--soft); font-weight: 600 } td.figure { white-space: nowrap }
 td.words, th.words { text-align: left; min-width: 7rem } tr.kept td { font-weight: 600 }
-.bar { display: inline-block; height: .65em; border-radius: 2px; background: var(--before);
-  margin-right: .4em }
 code, pre { background: var(--code); border-radius: .25rem; font-size: .875em; padding: .1em .3em }
 pre { padding: .6rem .8rem; overflow-x: auto } ul { padding-left: 1.2rem }
-dt { font-weight: 600; margin-top: .4rem } dd { margin: 0 0 0 1rem; color: var(--soft) }
 summary { cursor: pointer; color: var(--soft); margin: .5rem 0 }
 .hash { overflow-wrap: anywhere }
-@media print { body { max-width: none } figure, .tile { break-inside: avoid } }
+@media print { body { max-width: none } figure { break-inside: avoid } }
 """
 
 
-BAR_REM = 4.0  # width of a bar that stands for all
 _BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:K|W|%|s|min|h|d)\b|%)|(?<=±) | (?=±)")  # where no line may break
 
 
@@ -56,14 +48,6 @@ class TableColumn:
 
     head: str
     words: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Bar:
-    """A cell that shows its share, 0..1, as a bar before the text."""
-
-    share: float
-    text: str
 
 
 def paragraph(text: str, kind: str = "") -> str:
@@ -76,20 +60,15 @@ def bullets(texts: Iterable[str]) -> str:
     return f"<ul>{''.join(f'<li>{_sentence(text)}</li>' for text in texts)}</ul>"
 
 
-def tile(value: str, label: str, kind: str = "") -> str:
-    """Return a tile of the summary: a large `value` of class `kind` above its `label`."""
-    return f'<div class="tile"><b{_class(kind)}>{escape(value)}</b><span>{escape(label)}</span></div>'
-
-
 def table(
-    columns: Sequence[TableColumn], rows: Iterable[Sequence[str | Bar]], kept: Sequence[bool] = ()
+    columns: Sequence[TableColumn], rows: Iterable[Sequence[str]], kept: Sequence[bool] = ()
 ) -> Iterator[str]:
     """Lines of a table that scrolls by itself where the page is narrow. kept : rows that stand out"""
     yield '<div class="table"><table><tr>'
     yield "".join(f"<th{_class('words' if c.words else '')}>{escape(c.head)}</th>" for c in columns) + "</tr>"
     for number, row in enumerate(rows):
         cells = "".join(
-            f"<td{_class('words' if column.words else 'figure')}>{_cell(cell)}</td>"
+            f"<td{_class('words' if column.words else 'figure')}>{escape(cell)}</td>"
             for column, cell in zip(columns, row, strict=True)
         )
         yield f"<tr{_class('kept' if number < len(kept) and kept[number] else '')}>{cells}</tr>"
@@ -103,11 +82,6 @@ def fold(title: str, lines: Iterable[str]) -> Iterator[str]:
     yield "</details>"
 
 
-def terms(pairs: Iterable[tuple[str, str]]) -> str:
-    """Words and what they mean."""
-    return f"<dl>{''.join(f'<dt>{escape(word)}</dt><dd>{_sentence(text)}</dd>' for word, text in pairs)}</dl>"
-
-
 def command(text: str) -> str:
     """Return shell lines in a `<pre>`, without no-break spaces, so that a copied line runs."""
     return f"<pre>{escape(text)}</pre>"
@@ -115,13 +89,6 @@ def command(text: str) -> str:
 
 def _sentence(text: str) -> str:
     return _BEFORE_UNIT.sub("\N{NO-BREAK SPACE}", escape(text))
-
-
-def _cell(cell: str | Bar) -> str:
-    if isinstance(cell, str):
-        return escape(cell)
-    width = BAR_REM * min(max(cell.share, 0.0), 1.0)
-    return f'<span class="bar" style="width:{width:.2f}rem"></span>{_sentence(cell.text)}'
 
 
 def _class(kind: str) -> str:

@@ -21,14 +21,13 @@ from edge.diagnosis.report.picture import (
     svg,
     time_axis,
 )
-from edge.diagnosis.report.residual_picture import draw_residuals, residual_limits
 from edge.diagnosis.report.story import Floats, Trace, worst_stretch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PANEL_IN = {"air": 2.2, "residual": 0.95, "fan": 0.36, "duty": 0.66}
-BORDER_IN = 1.1
+PANEL_IN = {"air": 1.9, "residual": 0.8, "fan": 0.32, "duty": 0.5}
+BORDER_IN = 1.0
 LONGEST_S = 86400.0  # of a longer run only a part can be read
 TITLE_LETTERS = 40
 MANY_ROWS = 3000  # from here on a filled panel is stored as dots
@@ -40,8 +39,8 @@ def run_picture(trace: Trace, errors: Sequence[float | None], adds: bool) -> Pic
     known = {
         "air": True,
         "residual": trace.scored and trace.before is not None,
-        "fan": _moves(trace.fan),
-        "duty": _moves(trace.duty),
+        "fan": moves(trace.inputs.get("fan_on")),
+        "duty": moves(trace.inputs.get("heater_duty")),
     }
     panels = {name: height for name, height in PANEL_IN.items() if known[name]}
     title = f"{drawable(trace.name, TITLE_LETTERS)} ({_ROLES.get(trace.role, trace.role)})"
@@ -97,14 +96,10 @@ def _draw_air(axes: "Axes", trace: Trace, time: Floats, adds: bool) -> None:
         )
     if trace.after is not None and adds:
         axes.plot(time, trace.after, color=AFTER, lw=1.6, label="twin after")
-    if trace.ambient is not None:
-        axes.plot(time, trace.ambient, color=PLAIN, lw=0.9, ls=":", label="room")
-    known = (
-        trace.measured
-        if trace.ambient is None
-        else np.append(_finite(trace.measured), _finite(trace.ambient))
-    )
-    found = limits(known, trace.after, trace.before)
+    room = trace.inputs.get("temp_ambient")
+    if room is not None:
+        axes.plot(time, room, color=PLAIN, lw=0.9, ls=":", label="room")
+    found = limits(_finite(trace.measured, room), trace.after, trace.before)
     if found is not None:
         axes.set_ylim(*found)
     axes.set_ylabel("air [°C]")
@@ -114,16 +109,27 @@ def _draw_air(axes: "Axes", trace: Trace, time: Floats, adds: bool) -> None:
 def _draw_inputs(axes: Mapping[str, "Axes"], trace: Trace, time: Floats, adds: bool) -> None:
     if "residual" in axes:
         axes["residual"].axhline(0.0, color=INK, lw=0.7, alpha=0.6)
-        draw_residuals(axes["residual"], time, trace, adds)
-        axes["residual"].set_ylim(*residual_limits([trace]))
+        for when, colour in (("before", BEFORE if adds else AFTER), *((("after", AFTER),) if adds else ())):
+            if (residual := trace.residual(when)) is not None:
+                axes["residual"].plot(time, residual, color=colour, lw=1.1)
+        axes["residual"].set_ylim(*residual_limits(trace))
         axes["residual"].set_ylabel("measured\n− twin [K]")
-    if "fan" in axes and trace.fan is not None:
-        _steps(axes["fan"], time, trace.fan, FAN)
+    if "fan" in axes:
+        _steps(axes["fan"], time, trace.inputs["fan_on"], FAN)
         axes["fan"].set_yticks([0, 1], ["off", "on"])
         axes["fan"].set_ylabel("fan")
-    if "duty" in axes and trace.duty is not None:
-        _steps(axes["duty"], time, trace.duty, HEATER)
+    if "duty" in axes:
+        _steps(axes["duty"], time, trace.inputs["heater_duty"], HEATER)
         axes["duty"].set_ylabel("heater\nduty")
+
+
+def residual_limits(trace: Trace) -> tuple[float, float]:
+    """Lowest and highest residual to show; what is further off than the measurements reach is not."""
+    reach = 1.0 if trace.measured is None else max(float(np.ptp(_finite(trace.measured))), 1.0)
+    joined = _finite(trace.residual("before"), trace.residual("after"))
+    low, high = max(joined.min(initial=0.0), -reach), min(joined.max(initial=0.0), reach)
+    room = 0.05 * (high - low) or 0.1
+    return low - room, high + room
 
 
 def _steps(axes: "Axes", time: Floats, values: Floats, colour: str) -> None:
@@ -133,7 +139,8 @@ def _steps(axes: "Axes", time: Floats, values: Floats, colour: str) -> None:
     axes.set_ylim(-0.04, 1.1)
 
 
-def _moves(values: Floats | None) -> bool:
+def moves(values: Floats | None) -> bool:
+    """Return whether a series changes."""
     return values is not None and float(np.ptp(_finite(values))) > 0.0
 
 

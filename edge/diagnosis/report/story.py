@@ -1,7 +1,7 @@
 """Contents of a report: the diagnosis, and the series behind its pictures."""
 
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from edge.core.errors import DataError
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
 
 Floats = NDArray[np.float64]
+SERIES = ("measured", "before", "after", "innovations")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,10 +19,9 @@ class Trace:
 
     name, role : as in the diagnosis, and `train` or `test`
     measured, before, after : air temperature, by the sensor and in free runs of the twin [°C]
-    duty, fan : 0..1, held from a row to the next;  ambient : room temperature [°C]
-    residual_heat_... : measured minus the twin's, as a heat flow into the air [W]
-    innovations_... : measured minus predicted from the row before, in K or in their standard deviations
-    What is infinite becomes NaN, and a series of nothing but NaN None.
+    innovations : measured minus predicted from the row before by the twin as given, in standard deviations
+    inputs : by signal, held from a row to the next: `heater_duty`, `fan_on`, `temp_ambient`, `light`, ...
+    What is infinite becomes NaN, and a series of nothing but NaN None (an input is left out).
     Errors : DataError where an array is of another length
     """
 
@@ -31,24 +31,23 @@ class Trace:
     measured: Floats | None = None
     before: Floats | None = None
     after: Floats | None = None
-    duty: Floats | None = None
-    fan: Floats | None = None
-    ambient: Floats | None = None
-    residual_heat_before_w: Floats | None = None
-    residual_heat_after_w: Floats | None = None
-    innovations_before: Floats | None = None
-    innovations_after: Floats | None = None
+    innovations: Floats | None = None
+    inputs: Mapping[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for item in fields(self)[3:]:
-            values = getattr(self, item.name)
-            if values is None:
-                continue
-            if np.shape(values) != np.shape(self.time_s):
-                shapes = f"shape {np.shape(values)} for times of shape {np.shape(self.time_s)}"
-                raise DataError(f"report: {self.name}: {item.name}: {shapes}")
-            known = np.isfinite(values)
-            object.__setattr__(self, item.name, np.where(known, values, np.nan) if known.any() else None)
+        for key in SERIES:
+            object.__setattr__(self, key, self._known(key, getattr(self, key)))
+        known = {key: self._known(key, values) for key, values in self.inputs.items()}
+        object.__setattr__(self, "inputs", {key: one for key, one in known.items() if one is not None})
+
+    def _known(self, key: str, values: Floats | None) -> Floats | None:
+        if values is None:
+            return None
+        if np.shape(values) != np.shape(self.time_s):
+            shapes = f"shape {np.shape(values)} for times of shape {np.shape(self.time_s)}"
+            raise DataError(f"report: {self.name}: {key}: {shapes}")
+        known = np.isfinite(values)
+        return np.where(known, values, np.nan) if known.any() else None
 
     def residual(self, when: str) -> Floats | None:
         """Measured minus the free run `before` or `after` [K], NaN where not known; None without one."""
@@ -56,6 +55,12 @@ class Trace:
         if self.measured is None or predicted is None:
             return None
         return self.measured - predicted
+
+    def rmse_k(self) -> float:
+        """Return the error of the free run before, 0 where it is not known."""
+        residual = self.residual("before")
+        known = residual[np.isfinite(residual)] if residual is not None else np.empty(0)
+        return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
 
     @property
     def scored(self) -> bool:
@@ -82,6 +87,7 @@ def worst_stretch(trace: Trace, length_s: float) -> Trace:
     whole = trace.time_s + length_s <= trace.time_s[-1]  # begins from which there is so much
     begin = int(np.argmax(np.where(whole, total[ends] - total[:-1], -1.0)))
     part = slice(begin, int(ends[begin]))
-    series: list[Any] = [getattr(trace, item.name) for item in fields(trace)[2:]]
-    cut: list[Any] = [None if one is None else one[part] for one in series]
-    return Trace(trace.name, trace.role, *cut)
+    series = [None if (one := getattr(trace, key)) is None else one[part] for key in SERIES]
+    measured, before, after, innovations = series
+    inputs = {key: values[part] for key, values in trace.inputs.items()}
+    return Trace(trace.name, trace.role, trace.time_s[part], measured, before, after, innovations, inputs)
