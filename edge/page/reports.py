@@ -17,7 +17,7 @@ from edge.core.plain_text import plain
 from edge.diagnosis.diagnosis_document import DiagnosisDocument, EffectEntry
 from edge.diagnosis.diagnosis_file import FILE_NAME, check_diagnosis
 from edge.diagnosis.report import wording
-from edge.diagnosis.report.number_text import duration, kelvin, percent, probability
+from edge.diagnosis.report.number_text import duration, kelvin, percent
 from edge.formats.input_file import open_file, read_file
 from edge.formats.reader import parse_json, read_bytes
 
@@ -57,7 +57,7 @@ def details(report: Path) -> Json:
     return {
         **_summary(report, _change_utc(report)),
         "meaning": _lines([*wording.meaning(document), *wording.cautions(document)]),
-        "where": _lines(wording.where_findings(document)[:FINDINGS_MAX]),
+        "where": _lines(wording.where(document)[:FINDINGS_MAX]),
         "figures": _figures(document),
         "effects": [_effect(effect) for effect in document["effects"]],
         "predicting": _lines(wording.predicting(document)),
@@ -140,11 +140,9 @@ def _figures(document: DiagnosisDocument) -> list[list[str]]:
 
 
 def _effect(effect: EffectEntry) -> Json:
-    values = [wording.parameter_text(name, value) for name, value in effect["parameters"].items()]
-    evidence = [*values, f"probability {probability(effect.get('probability'))}"]
-    if rivals := effect["alternatives"]:
-        evidence.append(f"these data cannot tell it from {wording.join_names(rivals)}")
-    return {"text": plain(wording.gloss(effect), TEXT_MAX), "evidence": _lines(evidence)}
+    name, equation, evidence = wording.effect_lines(effect)
+    text = ": ".join(filter(None, [name, equation]))
+    return {"text": plain(text, TEXT_MAX), "evidence": _lines(evidence)}
 
 
 def _experiment(report: Path, experiment: Mapping[str, Any]) -> Json:

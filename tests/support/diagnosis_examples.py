@@ -1,6 +1,7 @@
 """Made-up diagnoses as a report gets them: a box of one node, in which something acts that its twin lacks."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,25 +64,10 @@ def trace(
     before = run_through(twin(duty), fan, ambient, 21.0)
     share_after = 1.0 if after is twin else fan_share
     later = run_through(after(duty), fan, ambient, 21.0, share_after)
-    noise_w = 2.5 * random.standard_normal(rows)
-    missing_w = truth(duty) - twin(duty) + (1.0 - fan_share) * FAN_W_K * fan * (real - ambient)
-    missing_w = np.append(0.0, missing_w[:-1])  # what a row's measurement tells stands at that row
-    white = NOISE_K * random.standard_normal(rows)
-    return Trace(
-        name,
-        role,
-        time_s,
-        measured,
-        before,
-        later,
-        duty,
-        fan,
-        ambient,
-        missing_w + noise_w,
-        noise_w if after is not twin else missing_w + noise_w,
-        0.35 * (measured - before) + white,
-        white,
-    )
+    white = random.standard_normal(rows)
+    missed = 0.35 * (measured - before) / NOISE_K + white
+    inputs = {"heater_duty": duty, "fan_on": fan, "temp_ambient": ambient}
+    return Trace(name, role, time_s, measured, before, later, white if truth is twin else missed, inputs)
 
 
 def rmse(residual: Floats | None) -> float:
@@ -287,10 +273,7 @@ def nothing_story() -> Story:
     traces = [trace(f"train_0{n}.csv", "train", prompt, prompt, prompt, n) for n in (1, 2)]
     forecast = trace("test_01.csv", "test", prompt, prompt, prompt, 9)
     measured = np.where(np.arange(150) < 2, forecast.measured, np.nan)
-    untold = Trace(
-        "test_01.csv", "test", forecast.time_s, measured, forecast.before, forecast.after, forecast.duty,
-        forecast.fan, forecast.ambient,
-    )  # fmt: skip
+    untold = replace(forecast, measured=measured, innovations=None)
     document = {
         "verdict": "nothing_missing",
         "effects": [],

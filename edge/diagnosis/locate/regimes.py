@@ -40,7 +40,7 @@ class Condition(NamedTuple):
 
 def conditions(rows: Rows) -> list[Condition]:
     """All single conditions that hold in some rows and not in all."""
-    every = [*_actuators(rows), *_thresholds(rows), *_motion(rows), *_times(rows)]
+    every = [*_actuators(rows), *_thresholds(rows), *_motion_and_times(rows)]
     return [item for item in every if item.mask.any() and not item.mask.all()]
 
 
@@ -85,14 +85,11 @@ def _round_edges(values: Floats) -> list[float]:
     return sorted({float(round(q / step) * step) for q in np.nanquantile(values, QUANTILES)})
 
 
-def _motion(rows: Rows) -> Iterator[Condition]:
+def _motion_and_times(rows: Rows) -> Iterator[Condition]:
     slope = rows.slope_k_min
     yield Condition("motion", "the air rises", slope > STEEP_K_MIN)
     yield Condition("motion", "the air falls", slope < -STEEP_K_MIN)
     yield Condition("motion", "the air is steady", np.abs(slope) <= STEEP_K_MIN)
-
-
-def _times(rows: Rows) -> Iterator[Condition]:
     for count in FIRST_ROWS:
         yield Condition("begin", f"in the first {count} rows of a run", rows.row < count)
     if len(rows.names) > 1:

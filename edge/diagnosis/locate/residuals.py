@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 class Residuals:
     """One run of N steps. Residuals are measured minus predicted after each step, NaN where not measured.
 
-    start_utc : of its first row [s since 1970], None where not known
+    utc_s : [N], when each step begins [s since 1970], None where not known
     free_run_k : [N], of a free run from the best start
     innovation : [N], in standard deviations, of a filter that believes the twin but for white noise
     duty, fan, ambient, light, rel_humidity : [N], over each step, the last two None where not recorded
@@ -29,7 +29,7 @@ class Residuals:
 
     name: str
     step_s: float
-    start_utc: float | None
+    utc_s: Floats | None
     free_run_k: Floats
     innovation: Floats
     duty: Floats
@@ -70,7 +70,7 @@ def residuals_of(
             Residuals(
                 name=name,
                 step_s=twin.step_s,
-                start_utc=float(runs.conditions["utc"][i, 0]) if "utc" in columns else None,
+                utc_s=columns.get("utc"),
                 free_run_k=np.where(free.measured[i], free.residual[i], np.nan)[:rows],
                 innovation=alone.innovation[:rows, i] / alone.variance[:rows, i] ** 0.5,
                 duty=runs.duty[i, :rows],

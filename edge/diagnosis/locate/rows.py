@@ -46,11 +46,7 @@ def rows_of(runs: Sequence[Residuals]) -> Rows:
         return np.concatenate([part[keep] for part, keep in zip(values, kept, strict=True)])
 
     inputs = {key: [getattr(run, key) for run in runs] for key in INPUTS}
-    starts = [run.start_utc for run in runs]
-    inputs["utc_s"] = [
-        None if start is None else start + run.step_s * np.arange(len(run.duty))
-        for start, run in zip(starts, runs, strict=True)
-    ]
+    inputs["utc_s"] = [run.utc_s for run in runs]
     active = {"heater": [run.duty > 0.0 for run in runs], "fan": [run.fan > 0.0 for run in runs]}
     return Rows(
         tuple(run.name for run in runs),

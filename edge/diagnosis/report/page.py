@@ -15,6 +15,7 @@ from edge.diagnosis.report.story import Story
 from edge.diagnosis.report.wording import (
     GAP_HEADS,
     ROLES,
+    WHERE_HEAD,
     against_adopting,
     cautions,
     doors,
@@ -80,8 +81,6 @@ def _effects(document: DiagnosisDocument) -> Iterator[str]:
         formula = f": <code>{escape(equation)}</code>" if equation else ""
         yield f"<h3>{escape(name[:1].upper() + name[1:])}{formula}</h3>"
         yield paragraph(f"{'; '.join(evidence)}.")
-        if without := effect.get("without"):
-            yield paragraph(f"Its mark in measured minus twin: {without}.", "soft")
     if told := doubtful(document):
         yield bullets(told)
 
@@ -90,9 +89,14 @@ def _where(document: DiagnosisDocument, figures: Figures | None) -> Iterator[str
     yield paragraph(gap_sentence(document))
     yield from [paragraph(NO_PICTURES, "soft")] if figures is None else _figures(figures, "run")
     if found := where(document):
+        yield paragraph(WHERE_HEAD)
         yield bullets(found)
     else:
         yield paragraph("No regime has clearly more of the error than its share of the rows.")
+    effects = [effect for effect in document["effects"] if "without" in effect]
+    if marks := [f"{effect['name']}: {effect['without']}" for effect in effects]:
+        yield paragraph("The mark of each effect in measured minus twin, as long as the twin lacks it:")
+        yield bullets(marks)
     if opened := doors(document):
         yield paragraph(opened)
     yield from _figures(figures or {}, "residual")

@@ -8,6 +8,7 @@ from pathlib import Path
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.report.wording import (
     GAP_HEADS,
+    WHERE_HEAD,
     against_adopting,
     beaten,
     cautions,
@@ -45,7 +46,7 @@ def _lines(document: DiagnosisDocument, folder: str) -> Iterator[str]:
     for sentence in doubtful(document):
         yield from _wrap(sentence, "", "  ")
     if found := where(document):
-        yield "Where it disagrees:"
+        yield WHERE_HEAD
         for sentence in found[:REGIMES]:
             yield from _wrap(sentence)
     yield from _wrap(doors(document, MOST_EVENTS), "", "  ")
@@ -69,9 +70,8 @@ def _effects(document: DiagnosisDocument) -> Iterator[str]:
     if document["effects"]:
         yield "What is missing, by how much, and how sure:"
     for effect in document["effects"]:
-        name, equation, evidence = effect_lines(effect)
-        yield from _wrap(": ".join(filter(None, [name, equation])))
-        yield from _wrap("; ".join(evidence), "    ")
+        _, equation, evidence = effect_lines(effect)  # the headline has the name in words
+        yield from _wrap(f"{effect['name']}: {'; '.join(filter(None, [equation, *evidence]))}")
 
 
 def _gap(document: DiagnosisDocument) -> Iterator[str]:

@@ -49,6 +49,7 @@ SIGNALS = {
     "door_open": "the door",
     "time": "time: the hour, the day, or the age of the box",
 }
+WHERE_HEAD = "Where it disagrees, by share of the squared error:"
 GAP_HEADS = ("before", "after", "noise", "closed", "best simple model")
 _COLON = re.compile(r"(?<=\S): ")  # the one of `60 : 40` is not the end of an effect's name
 
@@ -133,13 +134,13 @@ def doubtful(document: DiagnosisDocument) -> list[str]:
 
 
 def where(document: DiagnosisDocument) -> list[str]:
-    """Return the regimes in which the twin as given disagrees, a sentence each."""
+    """Return the regimes in which the twin as given disagrees, to stand below WHERE_HEAD."""
     found = []
     for regime in document["regimes"]:
         rows = regime.get("share_of_rows")
-        of_rows = "" if rows is None else f" ({percent(rows)} of the rows)"
+        of_rows = "" if rows is None else f" in {percent(rows)} of the rows"
         share = percent(regime["share_of_squared_error"])
-        found.append(f"{share} of the squared error{of_rows}: {regime['where']}; there {_heat(regime)}")
+        found.append(f"{share}{of_rows}: {regime['where']}; there {_heat(regime)}")
     return found
 
 
@@ -190,10 +191,11 @@ def gap_rows(document: DiagnosisDocument) -> list[tuple[str, ...]]:
 def steps_text(document: DiagnosisDocument) -> str:
     """Return the waterfall of the gap in a line, "" without a step."""
     steps, role = document.get("waterfall", []), scored_role(document)
-    told = [
-        f"{name} {kelvin(step_k(step, role))} K" for name, step in zip(step_names(steps), steps, strict=True)
-    ]
-    return f"{ROLES[role]} [K]: {', '.join(told)}" if len(steps) > 1 else ""
+    if len(steps) < 2:
+        return ""
+    errors = [kelvin(step_k(step, role)) for step in steps]
+    told = [f"{name} {error}" for name, error in zip(step_names(steps), errors, strict=True)]
+    return f"{ROLES[role]} [K]: {', '.join(told)}"
 
 
 def predicting(document: DiagnosisDocument) -> list[str]:

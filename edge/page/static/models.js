@@ -93,7 +93,7 @@ function Details({ name }) {
     <table><thead><tr>${HEADS.map((head) => html`<th key=${head}>${head}</th>`)}</tr></thead>
       <tbody>${found.figures.map((row) => html`<tr key=${row[0]}>${row.map((cell, k) => (k ? html`<td>${cell}</td>` : html`<th>${cell}</th>`))}</tr>`)}</tbody></table>
     ${found.effects.map((effect) => html`<p key=${effect.text}><strong>${effect.text}</strong> ${effect.evidence.join("; ")}</p>`)}
-    ${found.where.length > 0 && html`<h3>Where it disagrees</h3>${paragraphs(found.where)}`}
+    ${found.where.length > 0 && html`<h3>Where it disagrees, by share of the squared error</h3>${paragraphs(found.where)}`}
     ${found.predicting.length > 0 && html`<h3>How well the new twin predicts</h3>${paragraphs(found.predicting)}`}
     ${found.against.length > 0 && html`<h3>Against adopting it</h3>${paragraphs(found.against)}`}
     ${experiment && html`<h3>The next experiment</h3>${paragraphs(experiment.why)}
