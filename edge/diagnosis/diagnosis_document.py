@@ -83,7 +83,7 @@ class EffectEntry(TypedDict):
 
 
 class RegimeAfterEntry(TypedDict, total=False):
-    """The error of the new twin in the same condition."""
+    """The error of the new twin in the same condition, in older reports."""
 
     rmse_after_k: Annotated[float | None, Meaning("free run after [K]", 0)]
     heat_after_w: Annotated[float | None, Meaning("with the effects added [W]")]
@@ -234,7 +234,7 @@ class WhitenessEntry(TypedDict):
 
 
 class InnovationsEntry(TypedDict):
-    """Whiteness by run."""
+    """Whiteness by run, in older reports."""
 
     before: dict[str, WhitenessEntry]
     after: dict[str, WhitenessEntry]
@@ -279,7 +279,10 @@ class DiagnosisDocument(RequiredAnswer, total=False):
     left_out: Annotated[LeftOutErrors, Meaning("RMSE of free runs over rows that no fit saw")]
     against_adopting: Annotated[list[Sentence], Meaning("none where it is worth it")]
     formula: Annotated[FormulaEntry | None, Meaning("the best small formula of an unknown effect")]
-    findings: Annotated[list[Sentence], Meaning("of where it disagrees, strongest first")]
+    findings: Annotated[
+        list[Sentence],
+        Meaning("limits of these runs, and data that were left out; in older reports also the regimes"),
+    ]
     events: list[EventEntry]
     innovations: InnovationsEntry
     data_sha256: Annotated[str, Meaning("of the runs")]

@@ -160,7 +160,7 @@ def test_a_diagnosis_names_it(found: DiagnosisResult) -> None:
 def test_the_report_says_it_in_plain_words(found: DiagnosisResult, tmp_path: Path) -> None:
     page = found.report(tmp_path).read_text(encoding="utf-8")
     assert "the lamp's ballast warms the air that the fan draws past it" in page.replace("&#x27;", "'")
-    assert "One effect is missing: ballast_heat" in str(found)
+    assert "One effect is missing: the lamp's ballast warms the air" in str(found)
 
 
 # nothing else names effects

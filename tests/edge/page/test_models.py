@@ -142,7 +142,7 @@ def test_a_twin_is_adopted_and_taken_back_with_a_tap_and_a_yes(rig) -> None:
 
     with shared_browser(PHONE) as driver:
         enter(driver, page, Role.ADMIN, group="twin")
-        wait_for(lambda: "One effect is missing: heater_lag" in text(driver))
+        wait_for(lambda: "One effect is missing: the element warms up" in text(driver))
         assert driver.execute_script("return document.documentElement.scrollWidth") <= PHONE[0]
         tap(driver, "Adopt")
         wait_for(lambda: f"Run the twin of {REPORT} beside packaged?" in text(driver))
@@ -174,7 +174,7 @@ def test_a_viewer_has_no_button_that_would_be_refused(rig) -> None:
     _, page = rig
     with shared_browser() as driver:
         enter(driver, page, Role.VIEW, "guest", "twin")
-        wait_for(lambda: "One effect is missing: heater_lag" in text(driver))
+        wait_for(lambda: "One effect is missing: the element warms up" in text(driver))
         words = {button.text for button in driver.find_elements("css selector", "main button")}
         assert not {"Activate", "Adopt", "Adopt and activate", "Roll back", "Undo"} & words
         assert "Save as CSV" in words
