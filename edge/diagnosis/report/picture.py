@@ -89,6 +89,8 @@ def svg(figure: "Figure") -> str:
         re.sub(r' (xmlns|xmlns:xlink|width|height|version)="[^"]*"', "", text[: (end := text.index(">"))])
         + text[end:]
     )
+    # A hundredth of a point is not seen; below 1 a number may be a scale.
+    text = re.sub(r"\b[1-9]\d*\.\d{3,}", lambda found: f"{float(found[0]):.2f}", text).replace(" \nL", " L")
     for colour, name in OF_THE_PAGE.items():
         text = text.replace(colour, name)
     return text.replace("xlink:href", "href").strip()

@@ -48,7 +48,7 @@ def cumulated_periodogram(traces: Sequence[Trace]) -> Periodogram | None:
     """
     frequencies, powers = [], []
     for trace in traces:
-        values = _centred(trace.innovations)
+        values = _centre(trace.innovations)
         seen = np.flatnonzero(values)
         if len(seen) < LEAST_ROWS:
             continue
@@ -70,13 +70,13 @@ def cross_correlations(traces: Sequence[Trace]) -> tuple[dict[str, Floats], floa
     """Return the correlation of the residual with each input that moves, 0 to LAGS rows before it, and the
     95 % band of a white residual.
     """
-    parts = [(_centred(one.innovations), one) for one in traces]
+    parts = [(_centre(one.innovations), one) for one in traces]
     rows = sum(int(np.count_nonzero(residual)) for residual, _ in parts)
     names = dict.fromkeys(name for one in traces for name in one.inputs)
     found: dict[str, Floats] = {}
     for name in names if rows >= LEAST_ROWS else ():
         pairs = [
-            (residual, _centred(one.inputs[name], np.isfinite(one.innovations)))
+            (residual, _centre(one.inputs[name], np.isfinite(one.innovations)))
             for residual, one in parts
             if one.innovations is not None and name in one.inputs
         ]
@@ -88,7 +88,7 @@ def cross_correlations(traces: Sequence[Trace]) -> tuple[dict[str, Floats], floa
     return found, NORMAL / np.sqrt(max(rows, 1))
 
 
-def _centred(values: Floats | None, counted: object = True) -> Floats:
+def _centre(values: Floats | None, counted: object = True) -> Floats:
     """Return values minus the mean of those counted, 0 where missing."""
     if values is None:
         return np.zeros(0)

@@ -36,11 +36,11 @@ class Trace:
 
     def __post_init__(self) -> None:
         for key in SERIES:
-            object.__setattr__(self, key, self._known(key, getattr(self, key)))
-        known = {key: self._known(key, values) for key, values in self.inputs.items()}
+            object.__setattr__(self, key, self._series(key, getattr(self, key)))
+        known = {key: self._series(key, values) for key, values in self.inputs.items()}
         object.__setattr__(self, "inputs", {key: one for key, one in known.items() if one is not None})
 
-    def _known(self, key: str, values: Floats | None) -> Floats | None:
+    def _series(self, key: str, values: Floats | None) -> Floats | None:
         if values is None:
             return None
         if np.shape(values) != np.shape(self.time_s):

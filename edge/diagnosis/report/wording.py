@@ -120,7 +120,7 @@ def effect_lines(effect: EffectEntry) -> tuple[str, str, list[str]]:
         for name in effect["alternatives"]
     ]
     if rivals:
-        told.append(f"these data cannot tell it from {join_names(rivals)}")
+        told.append(f"these data cannot tell it from {' or '.join(rivals)}")
     said, equation = plain_words(effect)
     return f"{said} ({effect['name']})" if said else effect["name"], equation, told
 
