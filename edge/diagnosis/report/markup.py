@@ -17,14 +17,15 @@ body { margin: 0 auto; padding: 1.2rem 1rem 3rem; max-width: 50rem; background: 
 h1 { font-size: clamp(1.25rem, 4.5vw, 1.6rem); line-height: 1.25; margin: .2rem 0 .6rem }
 h2 { font-size: 1.2rem; margin: 1.6rem 0 .5rem; padding-top: .7rem; border-top: 1px solid var(--line) }
 h3 { font-size: 1.02rem; margin: 1rem 0 .2rem }
-h3 code { font-weight: normal }
+h3 code { font-weight: normal; display: inline-block; max-width: 100%; overflow-x: auto; white-space: nowrap;
+  vertical-align: bottom }
 p { margin: .4rem 0 }
 .verdict { font-weight: 600; font-size: .85rem; letter-spacing: .04em; text-transform: uppercase }
 .named { color: var(--after) } .nothing_missing { color: var(--good) } .unknown { color: var(--open) }
 figure { background: var(--card); border: 1px solid var(--line); border-radius: .5rem }
 figcaption, .soft { color: var(--soft); font-size: .875rem }
 figure { margin: 1rem 0; padding: .6rem }
-figure svg { display: block; width: 100%; max-width: 40rem; height: auto; margin: auto; color: var(--ink) }
+figure svg { display: block; width: 100%; max-width: 36rem; height: auto; margin: auto; color: var(--ink) }
 figcaption { margin-top: .4rem }
 .table { overflow-x: auto; margin: .6rem 0 }
 table { border-collapse: collapse; font-size: .9rem; min-width: 100% }

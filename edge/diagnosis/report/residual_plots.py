@@ -126,7 +126,7 @@ def _draw_periodogram(found: Periodogram) -> Picture:
         axes.set_ylabel("share of the power")
         axes.set_title("Is the residual white? Cumulated periodogram")
         legend_above(axes, 2)
-        leaves = "it leaves the band, so something is missing" if outside else "it stays inside the band"
+        leaves = "it leaves the band" if outside else "it stays inside"
         return Picture(
             svg(figure),
             "Cumulated periodogram of the residual of the twin as given",
