@@ -17,6 +17,8 @@ import pytest
 from diagnosis_examples import STORIES, named_story, nothing_story
 
 from edge.core.errors import DataError
+from edge.diagnosis.answer import _formula
+from edge.diagnosis.depends import Dependence
 from edge.diagnosis.progress import Stage, TerminalProgress
 from edge.diagnosis.report.markup import paragraph
 from edge.diagnosis.report.number_text import duration, kelvin, nats, number, odds, percent, plus_minus
@@ -176,6 +178,17 @@ def test_every_picture_says_what_it_shows(pages: dict[str, str]) -> None:
 def test_a_number_and_its_unit_stay_on_one_line() -> None:
     line = paragraph("71 % of it: 38 ± 3 W in 5 min, of 3 runs")
     assert line == "<p>71\N{NO-BREAK SPACE}% of it: 38\xa0±\xa03\xa0W in 5\xa0min, of 3 runs</p>"
+
+
+@pytest.mark.parametrize(
+    ("text", "formula"),
+    [("RH - 50", "Q = a (RH - 50)"), ("u (T - T_amb)", "Q = a u (T - T_amb)"),
+     ("|T - T_amb| (T - T_amb)", "Q = a |T - T_amb| (T - T_amb)"),
+     ("u max(T - 31, 0)", "Q = a u max(T - 31, 0)")],
+)  # fmt: skip
+def test_a_sum_is_a_factor_inside_brackets(text: str, formula: str) -> None:
+    found = _formula([Dependence(text, "W", ("temp_air",), 1.0, 2.0)])
+    assert found is not None and found["text"] == formula
 
 
 def test_findings_of_older_reports_do_not_repeat_the_regimes() -> None:

@@ -90,6 +90,14 @@ def test_the_contract_is_enough(document: dict[str, Any]) -> None:
     check_diagnosis({key: document[key] for key in ALWAYS})
 
 
+def test_an_older_report_is_a_diagnosis_too(document: dict[str, Any]) -> None:
+    assert {"innovations", "rounds"} <= set(document)
+    document["regimes"][0] |= {"rmse_after_k": 0.1, "heat_after_w": -0.2, "heat_after_w_se": 0.1}
+    document["findings"] = ["71 % of the squared error lies in run_3.csv from 43 to 67 min"]
+    check_diagnosis(document)
+    VALIDATOR.validate(document)
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float64("nan")])
 @pytest.mark.parametrize(
     ("place", "name"),
