@@ -79,7 +79,8 @@ def driven(
 
 def fit_runs(runs: RunBatch) -> FitRuns:
     """Runs from rest in a room that was measured, as a fit takes them."""
-    return FitRuns(runs, NOISE.sensor_k, np.ones(len(runs.duty), dtype=bool), room_is_open=False)
+    unmeasured = np.zeros(len(runs.duty), dtype=bool)
+    return FitRuns(runs, NOISE.sensor_k, ~unmeasured, unmeasured)
 
 
 def fitted(file: TwinFile, runs: RunBatch, name: str) -> FittedTwin:
