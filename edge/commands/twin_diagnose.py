@@ -104,8 +104,8 @@ def run(arguments: argparse.Namespace) -> int:
     from edge.diagnosis.answer import answer, traces
     from edge.diagnosis.diagnose import diagnose
     from edge.diagnosis.diagnosis_file import write_json
-    from edge.diagnosis.experiment.design import next_experiment
     from edge.diagnosis.experiment.document import experiment_document, write_profile
+    from edge.diagnosis.experiment.plan import next_experiment
     from edge.diagnosis.location import locate
     from edge.diagnosis.report.page import PAGE_NAME, write_report
     from edge.diagnosis.report.story import Story

@@ -21,8 +21,8 @@ from edge.diagnosis import diagnose as workflow
 from edge.diagnosis.answer import answer, traces
 from edge.diagnosis.diagnose import Diagnosis
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
-from edge.diagnosis.experiment.design import next_experiment
 from edge.diagnosis.experiment.document import experiment_document
+from edge.diagnosis.experiment.plan import next_experiment
 from edge.diagnosis.experiment.sequence import ExperimentLimits
 from edge.diagnosis.gap import predict
 from edge.diagnosis.location import Location, locate

@@ -2,17 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.experiment.design import design_experiment
-from edge.diagnosis.experiment.experiment import PlannedExperiment
-from edge.diagnosis.experiment.rivals import RivalPair, Rivals
-from edge.diagnosis.experiment.separation import Separation, separation
-from edge.diagnosis.experiment.sequence import ExperimentLimits
-from edge.diagnosis.experiment.surroundings import surroundings
+from edge.diagnosis.experiment.plan import PlannedExperiment, design_experiment
+from edge.diagnosis.experiment.separation import RivalPair, Separation, separation
+from edge.diagnosis.experiment.sequence import ExperimentLimits, surroundings
 from edge.diagnosis.twin_fit import FitRuns, FittedTwin, begun, fit_twins
 from edge.diagnosis.unknowns import with_effect
 from edge.twin.geometry import Geometry
@@ -89,14 +86,17 @@ def fitted(file: TwinFile, runs: RunBatch, name: str) -> FittedTwin:
     return min(fit_twins(starts, fit_runs(runs), 12), key=lambda item: item.cost)
 
 
-def plan_of(file: TwinFile, runs: RunBatch, names: Sequence[str]) -> Separation:
-    """To separate the effects of these names, each as likely as another."""
-    pairs = tuple(
-        RivalPair(i, j, names[i], names[j], names[0], 1.0 / len(names), 1.0)
-        for i, j in permutations(range(len(names)), 2)
-    )
-    rivals = Rivals(tuple(fitted(file, runs, name) for name in names), pairs)
-    return separation(rivals, surroundings(runs, False), STEP_S)
+def pairs_of(names: Sequence[str]) -> list[RivalPair]:
+    """Every two of these names, each as likely as another."""
+    return [
+        RivalPair((i, j), (names[i], names[j]), (1.0, 1.0)) for i, j in combinations(range(len(names)), 2)
+    ]
+
+
+def plan_of(file: TwinFile, runs: RunBatch, names: Sequence[str], has_fan: bool = True) -> Separation:
+    """To separate the effects of these names."""
+    models = [fitted(file, runs, name) for name in names]
+    return separation(models, pairs_of(names), surroundings(runs, False, has_fan), STEP_S)
 
 
 def experiment_of(
@@ -108,16 +108,11 @@ def experiment_of(
 
 def as_inputs(experiment: PlannedExperiment) -> RunInputs:
     """The profile, a value a row."""
-    rows = round(experiment.duration_s / STEP_S)
-    at = (
-        np.searchsorted([row.time_s for row in experiment.profile], STEP_S * np.arange(rows), side="right")
-        - 1
-    )
-    chosen = [experiment.profile[i] for i in at]
-    light = None if chosen[0].light is None else np.array([row.light or 0.0 for row in chosen])
-    return RunInputs(
-        np.array([row.heater_duty for row in chosen]), np.array([row.fan_on for row in chosen]), light
-    )
+    columns = dict(experiment.profile)
+    time_s = columns.pop("time_s")
+    at = np.searchsorted(time_s, STEP_S * np.arange(round(time_s[-1] / STEP_S)), side="right") - 1
+    light = columns["light"][at] if "light" in columns else None
+    return RunInputs(columns["heater_duty"][at], columns["fan_on"][at], light)
 
 
 def joined(runs: RunBatch, later: RunBatch) -> RunBatch:

@@ -16,7 +16,7 @@ from jsonschema import Draft202012Validator, ValidationError
 from edge import DiagnosisResult, Run, Twin, diagnose
 from edge.core.errors import DataError
 from edge.diagnosis.cannot_tell import cannot_tell
-from edge.diagnosis.experiment.advice import calibration, checks
+from edge.diagnosis.experiment.document import calibration, checks
 from edge.diagnosis.prepare import prepare
 from edge.diagnosis.twin_choice import candidates_of
 from edge.diagnosis.unknowns import with_effect
