@@ -104,12 +104,13 @@ def design_experiment(plan: Separation, limits: ExperimentLimits) -> PlannedExpe
     if same.all():
         return PlannedExperiment(inseparable=groups, calibration=_calibration(plan, same, 0.0), inputs=inputs)
     telling = most >= RIVAL_NATS if (most >= RIVAL_NATS).any() else ~same
-    # The mean logarithm of the log odds: what is hard to tell counts most.
+    # First the pairs that are settled, then the mean logarithm: what is hard to tell counts most.
+    settled = log_odds.min(axis=1) >= RIVAL_NATS
     weights = np.where(telling[:, None], [pair.likelihoods for pair in pairs], 0.0)
     worth = np.einsum("pw,pwb->b", weights / weights.sum(), np.log1p(log_odds))
-    best = int(np.argmax(worth - SECOND * tried.row_s * tried.within.sum(axis=1)))
-    chosen, ways = tried.choose(np.array([best])), log_odds[:, :, best]
-    settled = ways.min(axis=1) >= RIVAL_NATS
+    worth -= SECOND * tried.row_s * tried.within.sum(axis=1)
+    best = int(np.where(settled.sum(axis=0) == settled.sum(axis=0).max(), worth, -np.inf).argmax())
+    chosen, ways, settled = tried.choose(np.array([best])), log_odds[:, :, best], settled[:, best]
     apart = settled if settled.any() else telling
     expected = float(ways[apart].min())
     return PlannedExperiment(

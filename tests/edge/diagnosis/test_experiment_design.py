@@ -131,6 +131,15 @@ def test_two_that_are_the_same_are_told_from_a_third_together():
     assert not found.weak
 
 
+def test_a_longer_experiment_that_settles_a_question_is_preferred(leak_plan):
+    limits = ExperimentLimits(SafetySettings(heater_max_duty=0.05))
+    inputs = candidates(limits, leak_plan.around, STEP_S)
+    log_odds = leak_plan.log_odds(inputs).min(axis=1)[0]
+    lasts = inputs.within.sum(axis=1)
+    assert log_odds[lasts == lasts.min()].max() < 3.0 < log_odds.max()
+    assert design_experiment(leak_plan, limits).expected_log_odds > 3.0
+
+
 def missed(fit: FittedTwin, error_k: float) -> float:
     """Half the sum of squares, in standard deviations of an error."""
     return 0.5 * float(np.nansum(fit.errors**2)) / error_k**2
