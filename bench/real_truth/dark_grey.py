@@ -100,7 +100,7 @@ def begun(kind: str, case: Case, shares: tuple[float, float]) -> lmfit.Parameter
     return found
 
 
-def shown(kind: str, case: Case, parameters: lmfit.Parameters, i: int, rows: int) -> Floats:
+def follow(kind: str, case: Case, parameters: lmfit.Parameters, i: int, rows: int) -> Floats:
     """Return what a model shows over the first rows of a training run."""
     own = parameters.copy()
     for name in ("Ti", "Te", "Th"):
@@ -114,7 +114,7 @@ def shown(kind: str, case: Case, parameters: lmfit.Parameters, i: int, rows: int
 def errors(parameters: lmfit.Parameters, kind: str, case: Case) -> Floats:
     """Return the errors over all training rows."""
     found = [
-        shown(kind, case, parameters, i, end) - own["temp_air_c"][:end]
+        follow(kind, case, parameters, i, end) - own["temp_air_c"][:end]
         for i, (own, end) in enumerate(zip(case.runs, case.ends, strict=True))
     ]
     return np.nan_to_num(np.concatenate(found), nan=1e3, posinf=1e3, neginf=-1e3).clip(-1e3, 1e3)
@@ -125,7 +125,7 @@ def held_out(kind: str, case: Case, fitted: lmfit.Parameters) -> Floats:
     if not case.tests:
         return np.concatenate(
             [
-                shown(kind, case, fitted, i, len(own["time_s"]))[end:] - own["temp_air_c"][end:]
+                follow(kind, case, fitted, i, len(own["time_s"]))[end:] - own["temp_air_c"][end:]
                 for i, (own, end) in enumerate(zip(case.runs, case.ends, strict=True))
             ]
         )

@@ -89,7 +89,7 @@ class PreparedRuns:
 
     @property
     def guessed(self) -> bool:
-        """Whether there is a run whose room nobody measured."""
+        """True if there is a run whose room nobody measured."""
         return bool(self.open_rooms.any())
 
     def with_rooms(self, starts: Floats) -> RunBatch:

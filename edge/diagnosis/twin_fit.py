@@ -51,7 +51,7 @@ class FitRuns:
 
     @property
     def room_is_open(self) -> bool:
-        """Whether the room of a run is to be found."""
+        """True if the room of a run is to be found."""
         return bool(self.open_rooms.any())
 
     @property

@@ -20,6 +20,7 @@ from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
 SURE_SDS = 3.0  # above 0 that a row beside a door must be to belong to it, and
+HALF_OPEN = 0.7  # times the usual door's conductance, below which one is not as wide open
 SMALLEST = 0.2  # share of the step
 LONG = 3  # rows of a door whose inner ones tell how wide it was open
 
@@ -317,7 +318,7 @@ def _located_events(
             full = full_w_k(item) if is_long(item) else max(full_w_k(item), usual)
             if full <= SMALLEST * usual:
                 continue  # beside the usual door's conductance it is none
-            share = shares(item, full) * min(1.0, full / usual if usual > 0.0 else 1.0)
+            share = shares(item, full) * (full / usual if full < HALF_OPEN * usual else 1.0)
             share[share < SMALLEST] = 0.0
             if not (share > 0.0).any():
                 continue

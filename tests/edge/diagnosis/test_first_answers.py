@@ -36,7 +36,7 @@ def box(litres: float, heater_w: float, step_s: float) -> TwinFile:
     )
 
 
-class Rig:
+class LoggedBox:
     """Air, element and contents by Euler's steps of a second [J/K, W/K, W], a thermostat or a slow PI."""
 
     def __init__(
@@ -78,7 +78,7 @@ def found_in(file: TwinFile, *runs: RecordedRun) -> Diagnosis:
 
 
 def test_a_thermostat_log_names_contents_and_element() -> None:
-    rig = Rig(1, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=90.0, heater_w=60.0)
+    rig = LoggedBox(1, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=90.0, heater_w=60.0)
     found = found_in(box(150.0, 60.0, 60.0), rig.log(10.0, 30, band_k=0.6))
     assert {item.name for item in found.verdict.effects} <= {"soil_mass", "heater_lag", "sensor_lag"}
     assert found.verdict.effects[0].name == "soil_mass"
@@ -87,7 +87,7 @@ def test_a_thermostat_log_names_contents_and_element() -> None:
 
 
 def test_a_lid_that_is_opened_hides_neither_the_heaters_lag_nor_itself() -> None:
-    rig = Rig(2, air=100.0, loss=0.9, body=(2500.0, 1.2), lag_s=100.0, heater_w=40.0)
+    rig = LoggedBox(2, air=100.0, loss=0.9, body=(2500.0, 1.2), lag_s=100.0, heater_w=40.0)
     lids = (3000, 7100), (2500, 8500)
     runs = [rig.log(2.6, 10, band_k=0.4, lid=own) for own in lids]
     found = found_in(box(20.0, 40.0, 10.0), *runs)
@@ -101,7 +101,7 @@ def test_a_lid_that_is_opened_hides_neither_the_heaters_lag_nor_itself() -> None
 
 
 def test_what_a_poor_twin_misses_is_not_called_noise() -> None:
-    rig = Rig(3, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=90.0, heater_w=60.0)
+    rig = LoggedBox(3, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=90.0, heater_w=60.0)
     file = box(150.0, 60.0, 60.0)
     with candidates_only():
         found = diagnose(file, diagnosis_runs([("a", rig.log(4.0, 30, 0.6))], [], file), silent, "x")
@@ -110,7 +110,7 @@ def test_what_a_poor_twin_misses_is_not_called_noise() -> None:
 
 
 def test_a_resting_test_runs_room_is_its_first_reading_however_warm_the_training_was() -> None:
-    rig = Rig(4, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=1.0, heater_w=60.0)
+    rig = LoggedBox(4, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=1.0, heater_w=60.0)
     first = rig.log(2.0, 60, 0.6)
     columns = {name: values for name, values in first.columns.items() if name != "temp_ambient_c"}
     train = replace(first, columns=columns)
@@ -125,14 +125,14 @@ def test_a_resting_test_runs_room_is_its_first_reading_however_warm_the_training
 
 
 def test_a_plateau_of_a_coarse_sensor_is_a_reading() -> None:
-    rig = Rig(5, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=90.0, heater_w=60.0)
+    rig = LoggedBox(5, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=90.0, heater_w=60.0)
     run = rig.log(4.0, 30, band_k=1.5)
     coarse = {**run.columns, "temp_air_c": 0.32 * np.round(run.columns["temp_air_c"] / 0.32)}
     assert not stuck_readings(batch_runs([replace(run, columns=coarse)], 30.0)).any()
 
 
 def test_a_heater_that_never_ran_names_nothing_of_the_heater() -> None:
-    rig = Rig(6, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=90.0, heater_w=60.0)
+    rig = LoggedBox(6, air=900.0, loss=1.1, body=(16_000.0, 3.0), lag_s=90.0, heater_w=60.0)
     run = rig.log(3.0, 60, band_k=100.0)
     warm = {**run.columns, "temp_air_c": run.columns["temp_air_c"] + 8.0 * np.exp(-np.arange(180) / 60.0)}
     file = box(150.0, 60.0, 60.0)
