@@ -32,17 +32,20 @@ def heater_lag(network: Network, tau_h: float) -> None:
 
 
 def heater_deadtime(network: Network, d_h: float) -> None:
-    """Time until a command acts: P(t) = H(t - d_h)."""
+    """A heater that acts late: P(t) = H(t - d_h)."""
     network.signals.heater_dead_s = d_h
 
 
 def heater_efficiency(network: Network, eta: float) -> None:
-    """Share of the rated power that becomes heat of the box: Q = eta H."""
+    """A heater that gives less than its rated power: Q = eta H."""
     network.heater_scale *= eta
 
 
 def radiative_split(network: Network, f_rad: float) -> None:
-    """The air gets (1 - f_rad) H; the rest goes to wall and soil, 60 : 40 if there are both, else is lost."""
+    """Heat that the heater radiates past the air: Q = (1 - f_rad) H to the air.
+
+    The rest goes to wall and soil, 60 : 40 if there are both, else is lost.
+    """
     network.radiant_share = f_rad
 
 
@@ -168,7 +171,7 @@ _SPEED_STEP = 3e-3  # a fan's speed is rounded (edge/twin/rollout.py): shorter s
 
 
 def fan_effectiveness(network: Network, eps_f: float) -> None:
-    """Share of the rated flow that changes air, against filters and the box's resistance: F -> eps_f F."""
+    """A fan that moves less than its rated flow, against filters and the box: F -> eps_f F."""
     network.fan_flow_scale *= eps_f
 
 
@@ -178,7 +181,7 @@ def short_circuit(network: Network, s_sc: float) -> None:
 
 
 def fan_deadtime(network: Network, d_f: float) -> None:
-    """Time until a command acts: F(t) = F_cmd(t - d_f)."""
+    """A fan that acts late: F(t) = F_cmd(t - d_f)."""
     network.signals.fan_dead_s = d_f
 
 
@@ -188,9 +191,9 @@ def fan_spinup(network: Network, tau_f: float) -> None:
 
 
 def imperfect_mixing(network: Network, F_mix: float) -> None:
-    """Two halves of the air that exchange F_mix: the heater in one, sensor and intake in the other.
+    """Air that mixes slowly between heater and sensor: two halves exchange F_mix.
 
-    Walls, soil, leaks and other heat have half their share in each.
+    The heater is in one half, sensor and intake in the other. Walls, soil, leaks and other heat have half their share in each.
     """
     network.mixing_m3_s = F_mix
 
@@ -303,7 +306,7 @@ def wall_mass(network: Network, C_w: float, G_in: float, G_out: float) -> None:
 
 
 def soil_mass(network: Network, C_s: float, G_s: float) -> None:
-    """Soil and pots store heat: C_s dT_s/dt = G_s (T - T_s)."""
+    """Contents, such as soil and pots, store heat: C_s dT_s/dt = G_s (T - T_s)."""
     network.add_node("soil", C_s)
     network.connect(AIR, "soil", G_s)
 
@@ -462,7 +465,7 @@ HOTTEST_LIFE_C = 40.0  # enzymes of plants and of most soil fail above
 
 
 def sensor_lag(network: Network, tau_s: float) -> None:
-    """A sensor that follows the air: tau_s dT_m/dt = T - T_m."""
+    """A sensor that follows the air late: tau_s dT_m/dt = T - T_m."""
     network.sensor_lag_s = tau_s
 
 
