@@ -362,7 +362,7 @@ def test_every_effect_of_the_library_has_plain_words() -> None:
     for name in EFFECTS:
         text = known_name(name)
         assert text.endswith(f" ({name})") and ":" not in text and ";" not in text, text
-    assert known_name("radiative_split") == "the air gets (1 - f_rad) H (radiative_split)"
+    assert known_name("radiative_split") == "heat that the heater radiates past the air (radiative_split)"
     assert known_name("no_such_effect") == "no_such_effect"
 
 
