@@ -165,20 +165,18 @@ def _with_events(
     What a twin lacks can hide behind doors, and doors behind that: they are also sought by twins with what
     most boxes have. A twin that knows more tells better when a door was open, and for how much of a row.
     """
-    cleaned, doors = with_events(given, choice.tried[names].fit)
-    if not doors:
-        if cleaned is given:
-            return given, choice, names, ()
-        again = _choice(cleaned, telling)
-        again.attempt([(names, choice.tried[names].fit)])
-        return cleaned, again, again.grow(), ()
     usual = [name for name in choice.candidates if name in EFFECTS and EFFECTS[name].common]
     sets = [key for key in {names, *(names | {name} for name in usual)} if len(key) < MOST_ADDED]
     choice.attempt_from(names, sets)
     found = [_with_doors(given, choice.tried[key], telling) for key in sets]
     best = min(filter(None, found), key=lambda item: item.twin.left_out_k, default=None)
     if best is None:
-        return given, choice, names, ()
+        cleaned = with_events(given, choice.tried[names].fit)[0]
+        if cleaned is given:
+            return given, choice, names, ()
+        again = _choice(cleaned, telling)
+        again.attempt([(names, choice.tried[names].fit)])
+        return cleaned, again, again.grow(), ()
     for _ in range(LOOKS):
         now = _with_doors(given, best.twin, telling)
         if now is None or now.twin.left_out_k >= best.twin.left_out_k:

@@ -193,7 +193,8 @@ def fan_spinup(network: Network, tau_f: float) -> None:
 def imperfect_mixing(network: Network, F_mix: float) -> None:
     """Air that mixes slowly between heater and sensor: two halves exchange F_mix.
 
-    The heater is in one half, sensor and intake in the other. Walls, soil, leaks and other heat have half their share in each.
+    The heater is in one half, sensor and intake in the other. Walls, soil, leaks and other heat have half
+    their share in each.
     """
     network.mixing_m3_s = F_mix
 
