@@ -32,7 +32,6 @@ ROUGHLY, FINELY, AGAIN = 3, 50, 4  # iterations
 OPEN = "~open values"  # among effects: what the file is uncertain of, as if nothing were known of it
 EXPLAINED, MUCH, MOST_UNNAMED = 2.0, 0.15, 2  # times a reading's noise; a logarithm that a nameless heat pays
 RUNNERS_UP = 3
-SIMPLE = frozenset({"heater_lag", "soil_mass"})  # each alone is what a twin has to predict better than
 SLOWEST_RUNS = 3.0  # of the longest: a slower body is one that never changes, which is another effect
 # Of a logistic regression over names in chosen twins of development cases (`python -m bench.name_map`).
 INTERCEPT, SLOPES = -1.75, (0.1, 1.5, 1.3)
@@ -161,8 +160,9 @@ class TwinChoice:
         """Add, take away and exchange effects while left-out rows are forecast better."""
         known: list[tuple[Names, Begun]] = [(frozenset(), begun(self.file)), *seeds]
         self.attempt([*known, *((names, begun(_with(self.file, names))) for names, _ in seeds)])
-        for seed in [SIMPLE, *self.tried]:
-            self._try_one_more(frozenset(), [name for name in seed if name in self.candidates])
+        usual = frozenset(name for name in self.candidates if name in EFFECTS and EFFECTS[name].common)
+        for seed in [usual, *self.tried]:
+            self._try_one_more(frozenset(), [*seed])
         now = self.best(self.tried)
         while True:
             self.tell(" + ".join(sorted(now)) or "as given")
@@ -247,8 +247,10 @@ def _slowest_s(fit: FittedTwin, name: str) -> float:
     return max(found, default=0.0)
 
 
-def _commonness(names: Names) -> int:
-    return sum(EFFECTS[name].common > 0 for name in names if name in EFFECTS)
+def _commonness(names: Names) -> tuple[int, int]:
+    """Return how many of them most boxes have, and their ranks, the usual ones last."""
+    ranks = [EFFECTS[name].common for name in names if name in EFFECTS and EFFECTS[name].common]
+    return len(ranks), -sum(ranks)
 
 
 def _with(file: TwinFile, names: Names) -> TwinFile:
