@@ -35,7 +35,7 @@ UNEXPLAINED_FROM = 3.0  # times a reading's noise: something is missing that has
 ALIKE = 1.1  # times the error over fitted rows, for another name to explain them as well
 LARGE = 0.5  # a logarithm: so much less is missed with what is no name, for that to be what is missing
 # Log odds by what the twin misses over a reading's noise, and for a lag or a body.
-UNEXPLAINED, SLOW = -0.1, 0.0
+UNEXPLAINED, SLOW = -0.1, 1.0
 LAGS = (ParameterKind.AIR_LAG, ParameterKind.LAG, ParameterKind.DEAD_TIME)
 
 
@@ -136,6 +136,8 @@ def judge(
         others = alternatives(choice, names, name)
         pair = choice.tried[added], choice.tried[added - {name}]
         against = _against(name, *pair, evidence, choice.file.sample_s)
+        if is_name(name) and choice.is_too_slow(added, name):
+            against.append("it is slower than these runs can show")
         if name in found:
             against.append("when it was open was found in the runs, not recorded")
         elif not is_name(name):

@@ -34,7 +34,7 @@ EXPLAINED, MUCH, MOST_UNNAMED = 2.0, 0.15, 2  # times a reading's noise; a logar
 RUNNERS_UP = 3
 SLOWEST_RUNS = 3.0  # of the longest: a slower body is one that never changes, which is another effect
 # Of a logistic regression over names in chosen twins of development cases (`python -m bench.name_map`).
-INTERCEPT, SLOPES = -1.75, (0.1, 1.5, 1.3)
+INTERCEPT, SLOPES = -1.4, (0.05, 1.5, 1.3)
 CLEAREST, LARGEST = 10.0, 1.5  # of evidence; more of it makes a name no surer
 LOOKED_AT = 4  # of what a step along the slopes promises most
 
@@ -148,13 +148,15 @@ class TwinChoice:
         return len(item.fit.free) + (stated if OPEN in item.added else 0)
 
     def pays(self, names: Names) -> bool:
-        """Return whether each effect is worth something over fitted rows, and shows within a run."""
-        fit, longest_s = self.tried[names].fit, float(self.runs.seen.sum(axis=1).max()) * self.file.sample_s
-        if any(_slowest_s(fit, name) > SLOWEST_RUNS * longest_s for name in names - {OPEN}):
-            return False
-        own = fit.rmse_k
+        """Return whether each effect is worth something over fitted rows."""
+        own = self.tried[names].fit.rmse_k
         less = [self.tried[names - {name}] for name in names if names - {name} in self.tried]
         return all(item.fit.rmse_k >= PAYS * own for item in less)
+
+    def is_too_slow(self, names: Names, name: str) -> bool:
+        """Return whether an effect of a set hardly changes within the longest run."""
+        longest_s = float(self.runs.seen.sum(axis=1).max()) * self.file.sample_s
+        return _slowest_s(self.tried[names].fit, name) > SLOWEST_RUNS * longest_s
 
     def grow(self, seeds: Sequence[tuple[Names, Begun]] = ()) -> Names:
         """Add, take away and exchange effects while left-out rows are forecast better."""
