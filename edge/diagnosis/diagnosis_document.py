@@ -191,6 +191,9 @@ class RoundEntry(TypedDict):
     candidates: list[CandidateEntry]
 
 
+FOUND = "when it was open was found in the runs, not recorded"  # against an effect that is an event
+
+
 class DoubtfulEntry(TypedDict):
     """An effect that does not stand."""
 

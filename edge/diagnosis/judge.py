@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.depends import Dependence, dependences
-from edge.diagnosis.diagnosis_document import VerdictKind
+from edge.diagnosis.diagnosis_document import FOUND, VerdictKind
 from edge.diagnosis.twin_choice import (
     CLEARLY,
     EXPLAINED,
@@ -35,7 +35,7 @@ UNEXPLAINED_FROM = 3.0  # times a reading's noise: something is missing that has
 ALIKE = 1.1  # times the error over fitted rows, for another name to explain them as well
 LARGE = 0.5  # a logarithm: so much less is missed with what is no name, for that to be what is missing
 # Log odds by what the twin misses over a reading's noise, and for a lag or a body.
-UNEXPLAINED, SLOW = -0.1, 1.0
+UNEXPLAINED, SLOW = -0.1, 0.6
 LAGS = (ParameterKind.AIR_LAG, ParameterKind.LAG, ParameterKind.DEAD_TIME)
 
 
@@ -139,7 +139,7 @@ def judge(
         if is_name(name) and choice.is_too_slow(added, name):
             against.append("it is slower than these runs can show")
         if name in found:
-            against.append("when it was open was found in the runs, not recorded")
+            against.append(FOUND)
         elif not is_name(name):
             unnamed = max(unnamed, evidence.more)
         elif common := [other for other in others if not is_name(other)]:
@@ -226,7 +226,7 @@ def alternatives(choice: TwinChoice, names: Names, name: str) -> dict[str, float
     for key, item in choice.tried.items():
         if len(key) == len(names) and names - key == {name}:
             (other,) = key - names
-            if other not in EFFECTS or not choice.pays(key):
+            if other not in EFFECTS or not choice.pays(key) or choice.is_too_slow(key, other):
                 continue
             more, error = item.behind(own, choice.runs.noise_k)
             fits_k = ALIKE * max(own.fit.rmse_k, choice.runs.noise_k)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from edge.diagnosis.diagnosis_document import (
+    FOUND,
     WHENS,
     DiagnosisDocument,
     EffectEntry,
@@ -126,10 +127,11 @@ def effect_lines(effect: EffectEntry) -> tuple[str, str, list[str]]:
 
 
 def doubtful(document: DiagnosisDocument) -> list[str]:
-    """Return a sentence for each effect that explains the runs and is rejected all the same."""
+    """Return a sentence for each effect that explains the runs and is rejected; no events."""
     return [
         f"Rejected, though it fits: {known_name(item['name'])}: {'; '.join(item['against'])}"
         for item in document.get("doubtful", ())
+        if FOUND not in item["against"]
     ]
 
 
