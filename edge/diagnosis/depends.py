@@ -71,7 +71,7 @@ def _shapes(runs: RunBatch, step_s: float) -> list[_Shape]:
         _Shape("u^2", "W", ("heater_duty",), runs.duty**2),
         _Shape("u fan", "W", ("heater_duty", "fan_on"), runs.duty * runs.fan),
         _Shape("fan", "W", ("fan_on",), runs.fan),
-        _Shape("|T - T_amb| (T - T_amb)", "W/K2", ("temp_air",), np.abs(excess) * excess),
+        _Shape("|T - T_amb| (T - T_amb)", "W/K²", ("temp_air",), np.abs(excess) * excess),
         _Shape("t", "W/h", ("time",), hours),
         _Shape("t (T - T_amb)", "W/K/h", ("time",), hours * excess),
     ]
@@ -91,7 +91,7 @@ def _of_conditions(conditions: Mapping[str, Floats], excess: Floats) -> list[_Sh
     if "rel_humidity" in conditions:
         dry = conditions["rel_humidity"] - 50.0
         found.append(_Shape("RH - 50", "W/%", ("rel_humidity",), dry))
-        found.append(_Shape("(RH - 50) (T - T_amb)", "W/%/K", ("rel_humidity", "temp_air"), dry * excess))
+        found.append(_Shape("(RH - 50) (T - T_amb)", "W/(% K)", ("rel_humidity", "temp_air"), dry * excess))
     if "utc" in conditions:
         turn = 2.0 * np.pi * (conditions["utc"] % DAY_S) / DAY_S
         found += [

@@ -3,6 +3,7 @@
 import inspect
 import re
 import shlex
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -28,7 +29,6 @@ from edge.diagnosis.report.number_text import (
     plus_minus,
     probability,
 )
-from edge.twin.effects.library import EFFECTS
 
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 ROLES: Mapping[Role, str] = {"train": "training runs", "test": "held-out test runs"}
@@ -105,9 +105,12 @@ def effect_name(effect: EffectEntry) -> str:
 def known_name(name: str, further: str = "") -> str:
     """Return an effect of the library by its plain words: `radiation to the room (longwave_radiation)`."""
     inside = ", ".join(filter(None, [name, further]))
-    if name not in EFFECTS:
+    # The page's process has no library, which needs numpy and much memory: a name alone does there.
+    library = sys.modules.get("edge.twin.effects.library")
+    effect = library.EFFECTS.get(name) if library else None
+    if effect is None:
         return f"{name} ({further})" if further else name
-    said = (inspect.getdoc(EFFECTS[name].add) or "").partition("\n")[0].rstrip(".")
+    said = (inspect.getdoc(effect.add) or "").partition("\n")[0].rstrip(".")
     return f"{_small(_COLON.split(said)[0].partition(';')[0])} ({inside})"
 
 
