@@ -9,7 +9,8 @@ The evidence is kept line by line, so that a call goes on where the last one end
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -46,8 +47,8 @@ def main() -> int:
     lines = arguments.evidence.read_text(encoding="utf-8").splitlines() if arguments.evidence.exists() else []
     known = [json.loads(line) for line in lines]
     done = {item["case"] for item in known}
-    for case, truth, found in _diagnoses(arguments, done):
-        item = {"case": case, "rig": truth["rig"], "names": _names(found, truth)}
+    for case, rig, is_right, found in _diagnoses(arguments, done):
+        item = {"case": case, "rig": rig, "names": _names(found, is_right)}
         known.append(item)
         with arguments.evidence.open("a", encoding="utf-8") as file:
             file.write(json.dumps(item) + "\n")
@@ -58,13 +59,12 @@ def main() -> int:
 
 def _diagnoses(
     arguments: argparse.Namespace, done: set[str]
-) -> Iterator[tuple[str, Mapping[str, Any], Diagnosis]]:
+) -> Iterator[tuple[str, str, Callable[[str], bool], Diagnosis]]:
     folders = sorted((arguments.foreign / "cases").iterdir()) if arguments.foreign else []
     for folder in folders:
         if folder.name not in done:
             truth = json.loads((arguments.foreign / "truth" / f"{folder.name}.json").read_text())
-            alike = {"rig": folder.name, "judge": lambda name, own=truth: _is_hidden(name, own["hidden"])}
-            yield folder.name, alike, _diagnosis(folder)
+            yield folder.name, folder.name, partial(_is_hidden, truth["hidden"]), _diagnosis(folder)
     for log in LOGS:
         if log.split == "kept" or not log.main or log.name in done:
             continue
@@ -75,11 +75,10 @@ def _diagnoses(
             except GreenhouseError as error:
                 print(f"{log.name}: left out: {error}", file=sys.stderr)
                 continue
-        rig = log.name.partition(",")[0]
-        yield log.name, {"rig": rig, "judge": lambda name, own=log: is_true(own, name)}, found
+        yield log.name, log.name.partition(",")[0], partial(is_true, log), found
 
 
-def _is_hidden(name: str, hidden: Mapping[str, Any]) -> bool:
+def _is_hidden(hidden: Mapping[str, Any], name: str) -> bool:
     return any(is_alike(name, other) for other in hidden)
 
 
@@ -89,13 +88,13 @@ def _diagnosis(folder: Path) -> Diagnosis:
     return diagnose(file, read_runs(train, tests or train, file), lambda share, text: None, "")
 
 
-def _names(found: Diagnosis, truth: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _names(found: Diagnosis, is_right: Callable[[str], bool]) -> list[dict[str, Any]]:
     """Return the evidence of each name in the chosen twin, and whether it is right."""
     verdict, items = found.verdict, []
     names = frozenset([item.name for item in verdict.effects] + [item.name for item in verdict.doubtful])
     for name in sorted(filter(is_name, names)):
         own = evidence_of(found.choice, names, name)
-        items.append({"name": name, "features": own.features, "right": truth["judge"](name)})
+        items.append({"name": name, "features": own.features, "right": is_right(name)})
     return items
 
 

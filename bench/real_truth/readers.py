@@ -84,7 +84,7 @@ def pad(text: str) -> Columns:
 
 
 def pizza_oven(text: str) -> Columns:
-    """Read an oven's log, whose columns changed over the months; below two lines that are no table."""
+    """Read an oven's log, whose columns changed over the months, below two lines of settings."""
     found = _table(text[text.index("Index") :])
     column = {name.partition(" (")[0]: np.array([*map(float, words)]) for name, words in found.items()}
     room = column.get("Ambient temperature")

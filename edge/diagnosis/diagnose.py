@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 PREPARED, SEARCHED = (0.02, 0.2, 10.0), (0.2, 0.9, 6.0)  # shares of the time, and steps
 NO_WORSE = 1.05  # times the error of the best simple model: less is no difference
 LOOKS = 3  # for doors
-FAR_WORSE = 1.25
+FAR_WORSE = 1.25  # times the error of an ARX, which is not a twin: less is no reason to have none
 OPENED = next(name for name, effect in EFFECTS.items() if DOOR in effect.offered_with)
 
 
@@ -119,9 +119,16 @@ class Diagnosis:
 
 
 class _Opened(NamedTuple):
+    """Runs as `with_events` leaves them, and the twin fitted to them; None without doors."""
+
     cleaned: PreparedRuns
     doors: tuple[DoorOpening, ...]
-    twin: TriedTwin
+    twin: TriedTwin | None
+
+    @property
+    def left_out_k(self) -> float:
+        """Error of the twin over left-out rows, infinite without one [K]."""
+        return np.inf if self.twin is None else self.twin.left_out_k
 
 
 def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: str) -> Diagnosis:
@@ -165,41 +172,41 @@ def _with_events(
     What a twin lacks can hide behind doors, and doors behind that: they are also sought by twins with what
     most boxes have. A twin that knows more tells better when a door was open, and for how much of a row.
     """
-    usual = [name for name in choice.candidates if name in EFFECTS and EFFECTS[name].common]
-    sets = [key for key in {names, *(names | {name} for name in usual)} if len(key) < MOST_ADDED]
+    more = [names | {name} for name in choice.usual if len(names | {name}) < MOST_ADDED]
+    sets = list(dict.fromkeys([names, *more]))
     choice.attempt_from(names, sets)
     found = [_with_doors(given, choice.tried[key], telling) for key in sets]
-    best = min(filter(None, found), key=lambda item: item.twin.left_out_k, default=None)
-    if best is None:
-        cleaned = with_events(given, choice.tried[names].fit)[0]
+    best = min(found, key=lambda item: item.left_out_k)
+    if (twin := best.twin) is None:
+        cleaned = found[0].cleaned
         if cleaned is given:
             return given, choice, names, ()
         again = _choice(cleaned, telling)
         again.attempt([(names, choice.tried[names].fit)])
         return cleaned, again, again.grow(), ()
     for _ in range(LOOKS):
-        now = _with_doors(given, best.twin, telling)
-        if now is None or now.twin.left_out_k >= best.twin.left_out_k:
+        now = _with_doors(given, twin, telling)
+        if now.twin is None or now.left_out_k >= best.left_out_k:
             break
-        best = now
+        best, twin = now, now.twin
     again = _choice(best.cleaned, telling)
-    again.attempt([(names, choice.tried[names].fit), (best.twin.added, best.twin.fit)])
+    again.attempt([(names, choice.tried[names].fit), (twin.added, twin.fit)])
     then = again.grow()
     # Otherwise nothing is forecast better with them.
     return (best.cleaned, again, then, best.doors) if OPENED in then else (given, choice, names, ())
 
 
-def _with_doors(given: PreparedRuns, known: TriedTwin, telling: Telling) -> _Opened | None:
-    """Return a twin with the doors that it finds, as wide as they look at first; None without any."""
+def _with_doors(given: PreparedRuns, known: TriedTwin, telling: Telling) -> _Opened:
+    """Return the runs with the doors that a twin finds, and the twin fitted to them."""
     kept = {name: own for name, own in known.fit.file.effects.items() if name != OPENED}
     shut = replace(known.fit, file=replace(known.fit.file, effects=kept))
     cleaned, doors = with_events(given, shut)
-    if not doors:
-        return None
+    names = known.added | {OPENED}
+    if not doors or len(names) > MOST_ADDED:
+        return _Opened(cleaned, doors, None)
     wide = float(np.median([door.conductance_w_k for door in doors]))
     values = {item.name: Value(wide, fit=True) for item in EFFECTS[OPENED].parameters}
     choice = _choice(cleaned, telling)
-    names = known.added | {OPENED}
     choice.attempt([(names, begun(replace(shut.file, effects={**kept, OPENED: values})))])
     return _Opened(cleaned, doors, choice.tried[names])
 

@@ -10,7 +10,7 @@ from edge.core.errors import DataError
 from edge.diagnosis.diagnosis_document import GapErrors, RunErrors
 from edge.diagnosis.grey_run import reading_noise_k, rests, usual_room_c
 from edge.diagnosis.prepare import PreparedRuns, over_rows
-from edge.diagnosis.runs import NamedRun
+from edge.diagnosis.runs import NamedRun, has_column
 from edge.diagnosis.twin_choice import FIRST_ROWS
 from edge.diagnosis.twin_fit import FitRuns, FittedTwin, best_starts
 from edge.formats.run_file import RecordedRun, inside_names
@@ -58,7 +58,7 @@ def _forecast(fit: FittedTwin, named: NamedRun, known: PreparedRuns) -> RunForec
     temp = named.run.columns["temp_air_c"]
     first, size = int(np.isfinite(temp).argmax()), len(fit.file.twin().states)
     is_at_rest = rests(temp[np.isfinite(temp)], known.noise_k)
-    if np.isfinite(named.run.columns.get("temp_ambient_c", np.nan)).any():
+    if has_column(named.run, "temp_ambient_c"):
         room_c = over_rows(hold(named.run.columns["temp_ambient_c"])[None])[0]
     elif place is not None and known.open_rooms[place]:
         room_c = np.full(len(temp), fit.starts[place, -1])

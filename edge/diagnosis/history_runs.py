@@ -5,7 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge.core.errors import DataError
-from edge.diagnosis.runs import PIECE_ROWS, DiagnosisRuns, diagnosis_runs, measured_rows, pieces
+from edge.diagnosis.runs import (
+    PIECE_ROWS,
+    DiagnosisRuns,
+    diagnosis_runs,
+    has_column,
+    measured_rows,
+    pieces,
+)
 from edge.formats.run_file import RecordedRun, cut
 from edge.twin.twin_file import TwinFile
 
@@ -68,7 +75,7 @@ def _newest(runs: Sequence[RecordedRun], rows_max: int) -> list[RecordedRun]:
 
 
 def _with_room(runs: Sequence[RecordedRun]) -> list[RecordedRun]:
-    known = [run for run in runs if np.isfinite(run.columns.get("temp_ambient_c", np.nan)).any()]
+    known = [run for run in runs if has_column(run, "temp_ambient_c")]
     return known or list(runs)
 
 

@@ -13,6 +13,7 @@ from edge.diagnosis.diagnosis_document import FOUND, VerdictKind
 from edge.diagnosis.twin_choice import (
     CLEARLY,
     EXPLAINED,
+    LAGS,
     MATTERS,
     PAYS,
     Names,
@@ -23,7 +24,7 @@ from edge.diagnosis.twin_choice import (
 )
 from edge.diagnosis.twin_fit import FittedTwin
 from edge.diagnosis.unknowns import UnknownValue
-from edge.twin.effects.effect import Offer, ParameterKind
+from edge.twin.effects.effect import Offer
 from edge.twin.effects.library import EFFECTS
 from edge.twin.value import SDS_95, Value
 
@@ -36,7 +37,6 @@ ALIKE = 1.1  # times the error over fitted rows, for another name to explain the
 LARGE = 0.5  # a logarithm: so much less is missed with what is no name, for that to be what is missing
 # Log odds by what the twin misses over a reading's noise, and for a lag or a body.
 UNEXPLAINED, SLOW = -0.1, 0.6
-LAGS = (ParameterKind.AIR_LAG, ParameterKind.LAG, ParameterKind.DEAD_TIME)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

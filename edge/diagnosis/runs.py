@@ -291,12 +291,13 @@ def _check_columns(train: Sequence[RecordedRun], test: Sequence[RecordedRun], tw
         if not np.isfinite(run.columns["temp_air_c"]).any():
             raise DataError(f"{run.path}: temp_air_c: nothing was measured, every cell is empty")
         for column, effect in twin.twin().needs.items():
-            if not _has(run, column):
+            if not has_column(run, column):
                 key = "start_utc" if column == "utc" else _COLUMN.get(column, column)
                 raise DataError(f"{run.path}: {key}: missing, the twin's {effect} needs it")
 
 
-def _has(run: RecordedRun, column: str) -> bool:
+def has_column(run: RecordedRun, column: str) -> bool:
+    """Return whether a run has a reading of a column, by its internal name or that of a file."""
     if column == "utc":
         return run.start_utc is not None
     values = run.columns.get(_COLUMN.get(column, column))

@@ -32,6 +32,7 @@ ROUGHLY, FINELY, AGAIN = 3, 50, 4  # iterations
 OPEN = "~open values"  # among effects: what the file is uncertain of, as if nothing were known of it
 EXPLAINED, MUCH, MOST_UNNAMED = 2.0, 0.15, 2  # times a reading's noise; a logarithm that a nameless heat pays
 RUNNERS_UP = 3
+LAGS = (ParameterKind.AIR_LAG, ParameterKind.LAG, ParameterKind.DEAD_TIME)
 SLOWEST_RUNS = 3.0  # of the longest: a slower body is one that never changes, which is another effect
 # Of a logistic regression over names in chosen twins of development cases (`python -m bench.name_map`).
 INTERCEPT, SLOPES = -1.4, (0.05, 1.5, 1.3)
@@ -153,6 +154,11 @@ class TwinChoice:
         less = [self.tried[names - {name}] for name in names if names - {name} in self.tried]
         return all(item.fit.rmse_k >= PAYS * own for item in less)
 
+    @property
+    def usual(self) -> list[str]:
+        """Candidates that most boxes have."""
+        return [name for name in self.candidates if name in EFFECTS and EFFECTS[name].common]
+
     def is_too_slow(self, names: Names, name: str) -> bool:
         """Return whether an effect of a set hardly changes within the longest run."""
         longest_s = float(self.runs.seen.sum(axis=1).max()) * self.file.sample_s
@@ -162,9 +168,8 @@ class TwinChoice:
         """Add, take away and exchange effects while left-out rows are forecast better."""
         known: list[tuple[Names, Begun]] = [(frozenset(), begun(self.file)), *seeds]
         self.attempt([*known, *((names, begun(_with(self.file, names))) for names, _ in seeds)])
-        usual = frozenset(name for name in self.candidates if name in EFFECTS and EFFECTS[name].common)
-        for seed in [usual, *self.tried]:
-            self._try_one_more(frozenset(), [*seed])
+        for seed in [self.usual, *map(sorted, self.tried)]:
+            self._try_one_more(frozenset(), seed)
         now = self.best(self.tried)
         while True:
             self.tell(" + ".join(sorted(now)) or "as given")
@@ -212,7 +217,7 @@ class TwinChoice:
         self.attempt((names, _lend(begun(_with(self.file, names)), donor)) for names in wanted)
 
     def _try_one_less(self, names: Names) -> None:
-        self.attempt_from(names, [names - {name} for name in names])
+        self.attempt_from(names, [names - {name} for name in sorted(names)])
 
     def _try_runners_up(self, names: Names) -> None:
         """Add to the sets that come next as well: of two effects the one that pays alone may be neither."""
@@ -224,7 +229,7 @@ class TwinChoice:
             self._try_one_more(item.added)
 
     def _try_another(self, names: Names) -> None:
-        for name in names:
+        for name in sorted(names):  # a set has no order, and the first look at a set is the only one
             self._try_one_more(names - {name})
 
     def _try_one_more(
@@ -242,8 +247,7 @@ class TwinChoice:
 def _slowest_s(fit: FittedTwin, name: str) -> float:
     """Return the longest time constant of an effect, 0 of one that has none [s]."""
     values = {key: value.value for key, value in fit.file.effects[name].items()}
-    kinds = (ParameterKind.AIR_LAG, ParameterKind.LAG, ParameterKind.DEAD_TIME)
-    found = [value for key, value in values.items() if EFFECTS[name].parameter(key).kind in kinds]
+    found = [value for key, value in values.items() if EFFECTS[name].parameter(key).kind in LAGS]
     if (formula := EFFECTS[name].time_constant) is not None:
         found.append(formula[1](values))
     return max(found, default=0.0)
