@@ -253,10 +253,8 @@ def _slowest_s(fit: FittedTwin, name: str) -> float:
     return max(found, default=0.0)
 
 
-def _commonness(names: Names) -> tuple[int, int]:
-    """Return how many of them most boxes have, and their ranks, the usual ones last."""
-    ranks = [EFFECTS[name].common for name in names if name in EFFECTS and EFFECTS[name].common]
-    return len(ranks), -sum(ranks)
+def _commonness(names: Names) -> int:
+    return sum(EFFECTS[name].common > 0 for name in names if name in EFFECTS)
 
 
 def _with(file: TwinFile, names: Names) -> TwinFile:
