@@ -106,9 +106,9 @@ def run(arguments: argparse.Namespace) -> int:
     from edge.diagnosis.diagnosis_file import write_json
     from edge.diagnosis.experiment.document import experiment_document, write_profile
     from edge.diagnosis.experiment.plan import next_experiment
-    from edge.diagnosis.location import locate
     from edge.diagnosis.report.page import PAGE_NAME, write_report
     from edge.diagnosis.report.story import Story
+    from edge.diagnosis.where import locate
 
     file = read_twin_file(arguments.twin)
     data = diagnosis_runs_of(arguments, file)

@@ -28,11 +28,11 @@ from edge.diagnosis.diagnosis_document import (
 )
 from edge.diagnosis.gap import RunForecast, columns_of, errors, known_errors
 from edge.diagnosis.judge import MissingEffect, interval
-from edge.diagnosis.location import Location
 from edge.diagnosis.report.story import Trace
 from edge.diagnosis.runs import NamedRun
 from edge.diagnosis.twin_choice import OPEN, Names
 from edge.diagnosis.twin_fit import FittedTwin
+from edge.diagnosis.where import Location
 from edge.twin.effects.library import EFFECTS
 from edge.twin.value import SDS_95, Value
 

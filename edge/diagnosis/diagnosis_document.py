@@ -97,7 +97,10 @@ class RegimeBeforeEntry(TypedDict):
     share_of_squared_error: Annotated[float, Meaning("0..1", 0)]
     heat_w: Annotated[
         float | None,
-        Meaning("mean residual heat, measured minus the twin's: below 0 it gains too much [W]"),
+        Meaning(
+            "constant heat in these rows that, added to the twin, explains its errors best: below 0 it gains "
+            "too much [W]"
+        ),
     ]
     heat_w_se: Annotated[float | None, Meaning("standard error [W]", 0)]
     share_low: NotRequired[Annotated[float | None, Meaning("of the 95 % interval, 0..1", 0)]]

@@ -25,12 +25,12 @@ from edge.diagnosis.experiment.document import experiment_document
 from edge.diagnosis.experiment.plan import next_experiment
 from edge.diagnosis.experiment.sequence import ExperimentLimits
 from edge.diagnosis.gap import predict
-from edge.diagnosis.location import Location, locate
 from edge.diagnosis.progress import Progress
 from edge.diagnosis.report.page import PAGE_NAME, write_report
 from edge.diagnosis.report.story import Story
 from edge.diagnosis.report.summary import summary_text
 from edge.diagnosis.runs import NamedRun, diagnosis_runs
+from edge.diagnosis.where import Location, locate
 from edge.formats import run_file
 from edge.formats.run_file import absence_facts
 from edge.formats.run_lines import OPTION_WITHOUT, REQUIRED

@@ -6,7 +6,7 @@ filter: Jazwinski 1970, Stochastic Processes and Filtering Theory, ch. 8).
 
 Users: `edge.twin.warm_start` (state from a history), `edge.tick.estimator` (the running rig),
 `edge.drift.kalman` (the twin watched), `edge.controllers.mpc_twin` (`MPC-Twin`) and
-`edge.diagnosis.locate.residual_heat` (many runs and noise levels). A form of its own is held to this one by
+`edge.diagnosis.locate.heat_filter` (many runs and noise levels). A form of its own is held to this one by
 tests: `training.models.twin_step` (torch).
 """
 

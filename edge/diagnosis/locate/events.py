@@ -2,172 +2,50 @@
 a step.
 
 At every row a door, a wrong reading and a heat that stays are weighed against each other, and the one that
-explains most is taken out, until none is left that chance would not bring: matching pursuit with a threshold.
+explains most is taken out, until no shape is left that chance would not bring: matching pursuit with a
+threshold.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.diagnosis.locate.candidates import EventShape, RunShapes, ShapeScores, jumps, pulses, spikes, white
-from edge.diagnosis.locate.residual_heat import HeatFilterResult, Steps, filter_heat, likeliest, steps_of
+from edge.diagnosis.locate.heat_filter import Steps, filter_heat, likeliest, steps_of, white
+from edge.diagnosis.locate.shapes import LONGEST, EventShape, RunShapes, ShapeKind, shapes_of
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import hold
 
 Floats = NDArray[np.float64]
-SURE_SDS = 3.0  # above 0 that a row beside a door must be to belong to it, and
-HALF_OPEN = 0.7  # times the usual door's conductance, below which one is not as wide open
-SMALLEST = 0.2  # share of the step
-LONG = 3  # rows of a door whose inner ones tell how wide it was open
-
-
-class Opening(NamedTuple):
-    """conductance_w_k : of rows [begin, begin + L) and a row on either side, [L]; sd_w_k : its sd"""
-
-    begin: int
-    conductance_w_k: Floats
-    sd_w_k: Floats
-    shape: EventShape
-
-
-def merge(doors: list[EventShape]) -> list[EventShape]:
-    """Doors in order, those that touch or overlap as one."""
-    found: list[EventShape] = []
-    for door in sorted(doors, key=lambda shape: shape.begin):
-        if found and door.begin <= found[-1].end:
-            last = max(found[-1], door, key=lambda shape: shape.z)
-            end = max(found[-1].end, door.end)
-            found[-1] = last._replace(begin=found[-1].begin, end=end)
-        else:
-            found.append(door)
-    return found
-
-
-def openings(run: RunShapes, innovations: Floats, doors: list[EventShape]) -> list[Opening]:
-    """Each door's conductance row by row, by least squares beside the other doors.
-
-    innovations : [N], white, wrong readings and jumps taken out
-    """
-    found = []
-    for door in doors:
-        left = innovations - sum(
-            (other.size * run.response(other) for other in doors if other is not door), start=np.zeros(())
-        )
-        begin, end = max(door.begin - 1, 0), min(door.end + 1, len(left))
-        columns = np.stack([run.response(EventShape("door", i, i + 1, 1.0, 0.0)) for i in range(begin, end)])
-        normal = columns @ columns.T + 1e-9 * np.eye(end - begin)
-        sizes = np.linalg.solve(normal, columns @ left)
-        sds = np.sqrt(np.diag(np.linalg.inv(normal)))
-        found.append(Opening(begin, sizes.astype(np.float64), sds.astype(np.float64), door))
-    return found
-
-
-def full_w_k(opening: Opening) -> float:
-    """How wide it was: the median of its inner rows, or the most of its rows where it was short."""
-    rows = _own(opening)
-    return float(np.median(rows[1:-1]) if len(rows) >= LONG else rows.max())
-
-
-def is_long(opening: Opening) -> bool:
-    """Return whether an opening has inner rows."""
-    return len(_own(opening)) >= LONG
-
-
-def shares(opening: Opening, full: float) -> Floats:
-    """Return the share of each row, 0..1, for a door of `full` W/K: inner rows whole, both ends in part."""
-    part = np.clip(opening.conductance_w_k / full, 0.0, 1.0)
-    place = np.arange(len(part)) + opening.begin
-    inner = (place > opening.shape.begin) & (place < opening.shape.end - 1)
-    outer = (place < opening.shape.begin) | (place >= opening.shape.end)
-    unsure = (opening.conductance_w_k < SURE_SDS * opening.sd_w_k) | (part < SMALLEST)
-    return np.where(inner, 1.0, np.where(outer & unsure, 0.0, part))
-
-
-def _own(opening: Opening) -> Floats:
-    first = opening.shape.begin - opening.begin
-    return opening.conductance_w_k[first : first + opening.shape.end - opening.shape.begin]
-
-
 Kinds = NDArray[np.intp]
-OFFSETS = (-1, 0, 1, 2)  # rows from a change to where what it does may seem to begin
-FEWEST = 6  # changes of a kind, below which one cannot tell what is usual after them
-FIRST_ROWS = 3  # of a run, in which a wrong start looks like an event
-# Share of the rows by which the usual z² is told, and that of a normal variable. Events themselves may be in
-# half of the rows; few are just at a change, but perhaps only some changes do something that is not known.
-ANYWHERE, AT_CHANGE = (0.3, 0.1485), (0.8, 1.6424)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Switches:
-    """kind : [B, N + 1], 0 where no input has just changed, else a number per input, direction and offset."""
-
-    kind: Kinds
-
-    @classmethod
-    def of(cls, runs: RunBatch) -> "Switches":
-        """Return the switches of heater, fan and light."""
-        count, rows = runs.duty.shape
-        kind = np.zeros((count, rows + 1), dtype=np.intp)
-        light = [runs.conditions["light"]] if "light" in runs.conditions else []
-        number = 1
-        for values in (runs.duty, runs.fan, *light):
-            change = np.diff(values, axis=1, prepend=values[:, :1])
-            for changed in (change > 0.0, change < 0.0):
-                for offset in OFFSETS:
-                    places = np.argwhere(changed) + np.array([0, offset])
-                    inside = (places[:, 1] >= 0) & (places[:, 1] <= rows)
-                    kind[places[inside, 0], places[inside, 1]] = number
-                    number += 1
-        return cls(kind)
-
-    def usual(self, z: Floats) -> Floats:
-        """Usual size of z where a thing begins or ends like this, 1 at least; infinite where none can tell.
-
-        z, returned : [B, N, L], by where an event begins and how long it is
-        """
-        rows, lengths = z.shape[1:]
-        begins, by_end = _by_kind(self.kind[:, :-1], z), np.zeros((len(z), rows + 1, lengths))
-        for length in range(1, min(lengths, rows) + 1):
-            by_end[:, length:, length - 1] = z[:, : rows - length + 1, length - 1]
-        ends = _by_kind(self.kind, by_end)
-        for length in range(1, min(lengths, rows) + 1):
-            here = begins[:, : rows - length + 1, length - 1]
-            np.maximum(here, ends[:, length:, length - 1], out=here)
-        begins[:, :FIRST_ROWS] = np.inf
-        return begins
-
-
-def _by_kind(kind: Kinds, z: Floats) -> Floats:
-    """kind : [B, N]; z, returned : [B, N, L]."""
-    found = np.ones_like(z)
-    for number in np.unique(kind):
-        here = kind == number
-        share, normal = AT_CHANGE if number else ANYWHERE
-        squares = np.sort(z[here] ** 2, axis=0)
-        size = np.sqrt(squares[int(share * len(squares))] / normal)
-        found[here] = np.maximum(size, 1.0) if number == 0 or here.sum() >= FEWEST else np.inf
-    return found
-
-
 Mask = NDArray[np.bool_]
 FALSE_ALARM = 0.01  # per run, in noise alone
 INDEPENDENT = 6.0  # lengths of a door that are tried, as if they had nothing in common
 MARGIN_NATS = 2.0  # by which a door must explain more than a wrong reading or a heat that stays
-PASSES = 3  # noise levels are chosen anew without the rows of the doors found
+PASSES = 3  # noise levels are chosen again without the rows of the doors found
 MOST_SHAPES = 60  # in a run
-ALONE_ROWS = 3
+ALONE_ROWS = 3  # between a wrong reading and any other shape; next to one, a spike is that one's remainder
+OFFSETS = (-1, 0, 1, 2)  # rows from a change to where its effect may seem to begin
+FEWEST = 6  # changes of a kind, below which no size is usual after them
+FIRST_ROWS = 3  # of a run, in which a wrong start looks like an event
+# Share of the rows that shows the usual |z|, and that quantile of a normal variable's. Events themselves may
+# be in half of the rows; few are just at a change, but perhaps only some changes do something unknown.
+ANYWHERE, AT_CHANGE = (0.3, 0.3853), (0.8, 1.2816)
+LONG = 3  # rows of a door whose inner ones show how wide it was open
+SURE_SDS = 3.0  # above 0 that a row next to a door must be to belong to it
+SMALLEST = 0.2  # share of a step
+HALF_OPEN = 0.7  # times the usual door's conductance, below which one is not as wide open
 
 
 @dataclass(frozen=True, slots=True)
 class DoorOpening:
     """A door that was open during rows [from_row, to_row) of a run.
 
-    shares : of each of those steps, 0..1; heat_w : mean residual heat in them, below 0 when heat is lost
-    conductance_w_k : towards the room while open; z : standard deviations above none
+    heat_w : mean residual heat in them, below 0 when heat is lost
+    conductance_w_k : towards the room while it was widest open
     """
 
     run: str
@@ -175,10 +53,8 @@ class DoorOpening:
     to_row: int
     from_s: float
     to_s: float
-    shares: tuple[float, ...]
     heat_w: float
     conductance_w_k: float
-    z: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,37 +66,41 @@ class LocatedEvents:
     wrong: Mask
 
 
-def find_events(
-    twin: BoxTwin,
-    runs: RunBatch,
-    names: Sequence[str],
-    sensor_k: float | None = None,
-    false_alarm: float = FALSE_ALARM,
-) -> LocatedEvents:
+def find_events(twin: BoxTwin, runs: RunBatch, names: Sequence[str], sensor_k: float) -> LocatedEvents:
     """Doors and wrong readings in B runs.
 
-    names : of the runs; sensor_k : sd of a measured temperature [K], the twin's own where None
-    false_alarm : chance of a door in a run without any, for a right twin and Gaussian noise
+    names : of the runs; sensor_k : sd of a measured temperature [K]
     Errors : DataError for a room that is not known, or a column that the twin needs
     """
-    sensor_k = twin.noise.sensor_k if sensor_k is None else sensor_k
-    steps = steps_of(twin, runs, sensor_k)
+    steps, changes = steps_of(twin, runs, sensor_k), _changes(runs)
+    # As measured at the end of each step: a filter that expects no door lags behind one, and warm air that a
+    # door lets out is gone in seconds.
+    excess_k = np.stack([hold(temp) for temp in runs.temp])[:, 1:] - twin.signals.room(runs.ambient)
     found: list[list[EventShape]] = [[] for _ in names]
-    switches = Switches.of(runs)
     shapes: list[RunShapes] = []
     for _ in range(PASSES):
         # Found events loosen the filter where they are, so that the next pass does not see them as noise.
         way = filter_heat(steps, sensor_k, likeliest(_loosen(steps, found), sensor_k))
+        innovations = np.nan_to_num(white(way))
         shapes.clear()  # the largest arrays of a diagnosis: never two passes' at once
-        shapes = _shapes(twin, runs, steps, way)
-        before, found = found, _pursue(shapes, white(way), switches, false_alarm)
-        if _places(before) == _places(found):
+        shapes = shapes_of(steps, way, excess_k)
+        before, found = found, _pursue(shapes, innovations, changes)
+        if [[shape[:3] for shape in part] for part in before] == [[s[:3] for s in part] for part in found]:
             break
-    return _located_events(runs, names, twin.step_s, shapes, white(way), found)
-
-
-def _places(found: list[list[EventShape]]) -> list[list[tuple[str, int, int]]]:
-    return [[shape[:3] for shape in part] for part in found]
+    wrong = np.zeros(runs.temp.shape, dtype=bool)
+    for i, part in enumerate(found):
+        spikes = (shape for shape in part if shape.kind == "spike" and shape.is_event)
+        wrong[i, [spike.begin + 1 for spike in spikes if not _is_near(spike, part, ALONE_ROWS)]] = True
+    opened = [_opened_rows(*parts) for parts in zip(shapes, innovations, found, strict=True)]
+    usual, door_open = _shares(opened)
+    power_w, doors = twin.geometry.heater_max_w, []
+    for i, (name, run) in enumerate(zip(names, opened, strict=True)):
+        for begin, end in _spans(door_open[i] > 0.0):
+            at = begin, end, begin * twin.step_s, end * twin.step_s
+            heat_w = -power_w * float((run.conductance * excess_k[i])[begin:end].mean())
+            widest = usual * float(door_open[i, begin:end].max())
+            doors.append(DoorOpening(name, *at, heat_w, power_w * widest))
+    return LocatedEvents(tuple(doors), door_open, wrong)
 
 
 def _loosen(steps: Steps, found: list[list[EventShape]]) -> Steps:
@@ -235,132 +115,131 @@ def _loosen(steps: Steps, found: list[list[EventShape]]) -> Steps:
     return replace(steps, loose=loose, temp=temp)
 
 
-def _shapes(twin: BoxTwin, runs: RunBatch, steps: Steps, way: HeatFilterResult) -> list[RunShapes]:
-    # As measured at the end of each step: a filter that expects no door lags behind one, and warm air that a
-    # door lets out is gone in seconds.
-    shown = np.stack([hold(temp) for temp in runs.temp])[:, 1:]
-    excess = shown - twin.signals.room(runs.ambient)
-    doors = pulses(steps, way)
-    doors *= -excess[:, :, None]
-    every = zip(doors, spikes(steps, way), jumps(steps, way), excess, strict=True)
-    return [RunShapes(*parts) for parts in every]
-
-
-def _pursue(
-    shapes: list[RunShapes], innovations: Floats, switches: Switches, false_alarm: float
-) -> list[list[EventShape]]:
-    from scipy.special import ndtri  # the normal quantile; scipy.stats takes a second to load
-
-    threshold = -float(ndtri(false_alarm / (INDEPENDENT * innovations.shape[1])))
-    parts = list(zip(shapes, innovations, strict=True))
-    usual = {
-        "door": switches.usual(np.stack([run.doors(row).z for run, row in parts])),
-        "spike": switches.usual(np.stack([run.spikes(row).z for run, row in parts])),
-        "jump": switches.usual(np.stack([run.jumps(row).z for run, row in parts])),
-    }
-    found = []
-    for i, (run, row) in enumerate(parts):
-        left = row.copy()
-        part: list[EventShape] = []
-        sizes = {kind: size[i] for kind, size in usual.items()}
-        while len(part) < MOST_SHAPES and (best := _best(run, left, sizes, threshold)):
-            part.append(best)
-            left -= best.size * run.response(best)
-        found.append(part)
+def _changes(runs: RunBatch) -> Kinds:
+    """0 where no input has just changed, else a number per input, direction and offset, [B, N + 1]."""
+    light = runs.conditions.get("light", np.zeros_like(runs.duty))
+    found, number = np.zeros(runs.temp.shape, dtype=np.intp), 0
+    for values in (runs.duty, runs.fan, light):
+        change = np.pad(np.diff(values, axis=1), ((0, 0), (1, 1)))
+        for changed in (change > 0.0, change < 0.0):
+            for offset in OFFSETS:
+                number += 1
+                # What comes round from a run's end is in its FIRST_ROWS, in which no event is looked for.
+                found[np.roll(changed, offset, axis=1)] = number
     return found
 
 
-def _best(
-    run: RunShapes, innovations: Floats, usual: dict[str, Floats], threshold: float
-) -> EventShape | None:
-    """Return the shape that explains most, None if no shape exceeds the usual by the threshold."""
-    door = _largest("door", run.doors(innovations))
-    spike, jump = _largest("spike", run.spikes(innovations)), _largest("jump", run.jumps(innovations))
-    rival = max(spike, jump, key=lambda shape: abs(shape.z))
-    best = door if 0.5 * door.z**2 > 0.5 * rival.z**2 + MARGIN_NATS else rival
-    within = usual[best.kind][:, best.end - best.begin - 1]
-    if best.kind == "door" and (best.size < 0.0 or best.z < threshold * within[best.begin]):
-        best = best._replace(kind="input")
-    if best.kind == "spike" and abs(best.z) < threshold * within[best.begin]:
-        best = best._replace(kind="late")
-    return best if abs(best.z) > threshold * within.min() else None
+def _usual(changes: Kinds, z: Floats) -> Floats:
+    """Usual size of z where a thing begins or ends like this, 1 at least; infinite where unknown.
 
-
-def _largest(kind: str, found: ShapeScores) -> EventShape:
-    begin, length = (int(i) for i in np.unravel_index(int(np.abs(found.z).argmax()), found.z.shape))
-    return EventShape(
-        kind, begin, begin + length + 1, float(found.size[begin, length]), float(found.z[begin, length])
-    )
-
-
-def _located_events(
-    runs: RunBatch,
-    names: Sequence[str],
-    step_s: float,
-    shapes: list[RunShapes],
-    innovations: Floats,
-    found: list[list[EventShape]],
-) -> LocatedEvents:
-    wrong = np.zeros(runs.temp.shape, dtype=bool)
-    every: list[list[Opening]] = []
-    for i, (run, part) in enumerate(zip(shapes, found, strict=True)):
-        wrong[i, [shape.begin + 1 for shape in part if _stands_alone(shape, part)]] = True
-        doors = merge([shape for shape in part if shape.kind == "door"])
-        others = [shape for shape in part if shape.kind != "door" and not _touches(shape, doors)]
-        left = innovations[i] - sum((s.size * run.response(s) for s in others), start=np.zeros(()))
-        every.append(openings(run, left, doors))
-    # A short opening does not tell how wide it was; the usual long one does. Slow errors behind an opening
-    # look like more of them, hardly open.
-    usual = _usual_w_k([item for part in every for item in part if is_long(item)])
-    door_open, told = np.zeros_like(runs.duty), []
-    for i, (name, found_here) in enumerate(zip(names, every, strict=True)):
-        for item in found_here:
-            full = full_w_k(item) if is_long(item) else max(full_w_k(item), usual)
-            if full <= SMALLEST * usual:
-                continue  # beside the usual door's conductance it is none
-            share = shares(item, full) * (full / usual if full < HALF_OPEN * usual else 1.0)
-            share[share < SMALLEST] = 0.0
-            if not (share > 0.0).any():
-                continue
-            rows = slice(item.begin, item.begin + len(share))
-            door_open[i, rows] = np.maximum(door_open[i, rows], share)
-            told.append(_door(name, step_s, item, share, full, shapes[i].excess))
-    return LocatedEvents(tuple(told), door_open, wrong)
-
-
-def _usual_w_k(doors: Sequence[Opening]) -> float:
-    """Return the median conductance, weighted by what each door explains; 0 without any."""
-    if not doors:
-        return 0.0
-    wide, explained = (
-        np.array(own) for own in zip(*((full_w_k(d), d.shape.z**2) for d in doors), strict=True)
-    )
-    order = np.argsort(wide)
-    half = 0.5 * explained.sum()
-    return float(wide[order][np.searchsorted(np.cumsum(explained[order]), half)])
-
-
-def _touches(shape: EventShape, doors: list[EventShape]) -> bool:
-    """Return whether a shape is part of a door's effect, which a constant conductance did not fit."""
-    return any(shape.begin <= door.end and door.begin <= shape.end for door in doors)
-
-
-def _stands_alone(spike: EventShape, every: list[EventShape]) -> bool:
-    """Return whether a wrong reading stands alone. Next to another event, a
-    spike is that event's remainder.
+    z, returned : [B, N, L], by where an event begins and how long it is
     """
-    others = (shape for shape in every if shape is not spike)
-    return spike.kind == "spike" and all(
-        shape.end + ALONE_ROWS < spike.begin or spike.end + ALONE_ROWS < shape.begin for shape in others
+    found = np.full_like(z, np.inf)
+    for longer in range(min(z.shape[1:])):
+        reach = z.shape[1] - longer
+        own, usual = np.abs(z[:, :reach, longer]), found[:, :reach, longer]
+        usual[:] = 1.0
+        for kinds in (changes[:, :reach], changes[:, longer + 1 :]):
+            for number in np.unique(kinds):
+                here = kinds == number
+                sizes = np.sort(own[here])
+                share, normal = AT_CHANGE if number else ANYWHERE
+                is_known = number == 0 or len(sizes) >= FEWEST
+                size = sizes[int(share * len(sizes))] / normal if is_known else np.inf
+                usual[here] = np.maximum(usual[here], size)
+    found[:, :FIRST_ROWS] = np.inf
+    return found
+
+
+def _pursue(shapes: list[RunShapes], innovations: Floats, changes: Kinds) -> list[list[EventShape]]:
+    from scipy.special import ndtri  # the normal quantile; scipy.stats takes a second to load
+
+    threshold = -float(ndtri(FALSE_ALARM / (INDEPENDENT * innovations.shape[1])))
+    parts = list(zip(shapes, innovations.copy(), strict=True))
+    needed = {
+        kind: threshold * _usual(changes, np.stack([run.scores(kind, left)[0] for run, left in parts]))
+        for kind in LONGEST
+    }
+    found: list[list[EventShape]] = []
+    for i, (run, left) in enumerate(parts):
+        found.append([])
+        own = {kind: size[i] for kind, size in needed.items()}
+        while len(found[i]) < MOST_SHAPES and (best := _best(run, left, own)):
+            found[i].append(best)
+            left -= run.response(best)
+    return found
+
+
+def _best(run: RunShapes, innovations: Floats, needed: dict[ShapeKind, Floats]) -> EventShape | None:
+    """Return the shape that explains most, None if it is what chance may bring where no input changes."""
+    door, spike, jump = (run.largest(kind, innovations) for kind in needed)
+    # Rounded: in the last row a wrong reading and a jump are the same, and it counts as the former.
+    rival = max(spike, jump, key=lambda shape: round(abs(shape.z), 6))
+    best = door if 0.5 * door.z**2 > 0.5 * rival.z**2 + MARGIN_NATS else rival
+    least = needed[best.kind][:, best.end - best.begin - 1]
+    if not abs(best.z) > least.min():
+        return None
+    is_loss = best.kind != "door" or best.size > 0.0
+    return best._replace(is_event=is_loss and abs(best.z) >= least[best.begin])
+
+
+def _is_near(shape: EventShape, others: Iterable[EventShape], rows: int) -> bool:
+    return any(
+        shape.begin <= other.end + rows and other.begin <= shape.end + rows
+        for other in others
+        if other is not shape
     )
 
 
-def _door(name: str, step_s: float, item: Opening, share: Floats, full: float, excess: Floats) -> DoorOpening:
-    rows = np.flatnonzero(share > 0.0)
-    first, last = int(rows[0]), int(rows[-1])
-    begin, end = item.begin + first, item.begin + last + 1
-    heat_w = -item.conductance_w_k[first : last + 1] * excess[begin:end]
-    shown = tuple(float(value) for value in share[first : last + 1])
-    return DoorOpening(
-        name, begin, end, begin * step_s, end * step_s, shown, float(heat_w.mean()), full, item.shape.z
-    )
+class _OpenedRows(NamedTuple):
+    """Rows of a run in which a door was open, and what their conductance seems to be, with its sd, [N].
+
+    Conductances are shares of the heater's power per K; 0 further than a row from any door.
+    """
+
+    is_open: Mask
+    conductance: Floats
+    sd: Floats
+
+
+def _opened_rows(run: RunShapes, innovations: Floats, part: list[EventShape]) -> _OpenedRows:
+    """Fit the conductance of each row in and next to a door, all of a run's together, by least squares."""
+    doors = [shape for shape in part if shape.kind == "door" and shape.is_event]
+    # A shape that touches a door is part of its effect, which a constant conductance did not fit.
+    others = [shape for shape in part if shape not in doors and not _is_near(shape, doors, 0)]
+    left = innovations - sum((run.response(shape) for shape in others), start=np.zeros(()))
+    is_open, conductance, sd = np.zeros(len(left), dtype=bool), np.zeros(len(left)), np.ones(len(left))
+    for shape in doors:
+        is_open[shape.begin : shape.end] = True
+    rows = np.flatnonzero(np.convolve(is_open, np.ones(3), "same"))
+    if len(rows):
+        columns = np.stack([run.response(EventShape("door", row, row + 1)) for row in rows.tolist()])
+        normal = columns @ columns.T
+        inverse = np.linalg.inv(normal + 1e-12 * np.trace(normal) * np.eye(len(rows)))
+        conductance[rows], sd[rows] = inverse @ columns @ left, np.sqrt(np.diag(inverse))
+    return _OpenedRows(is_open, conductance, sd)
+
+
+def _shares(opened: list[_OpenedRows]) -> tuple[float, Floats]:
+    """Return the usual door's conductance, and the share of each row that one was open for, 0..1, [B, N]."""
+    every = [run.conductance[begin:end] for run in opened for begin, end in _spans(run.is_open)]
+    # A short opening does not show how wide it was; the usual long one does.
+    shown = [own[1:-1] for own in every if len(own) >= LONG] or [own.max(keepdims=True) for own in every]
+    usual = float(np.median(np.concatenate(shown))) if shown else np.inf
+    found = []
+    for is_open, conductance, sd in opened:
+        share = np.clip(conductance / usual, 0.0, 1.0)
+        for begin, end in _spans(is_open):
+            if end - begin >= LONG:  # both ends in part, the rows between them alike
+                wide = float(np.median(conductance[begin + 1 : end - 1])) / usual
+                share[begin + 1 : end - 1] = 1.0 if wide > HALF_OPEN else wide
+        # Slow errors behind an opening look like more of it, hardly open.
+        is_sure = (share > SMALLEST) & (is_open | (conductance > SURE_SDS * sd))
+        found.append(np.where(is_sure, share, 0.0))
+    return usual, np.stack(found)
+
+
+def _spans(mask: Mask) -> list[tuple[int, int]]:
+    """Return where a mask is true, as rows [begin, end)."""
+    edges = np.flatnonzero(np.diff(mask.astype(int), prepend=0, append=0)).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))

@@ -1,4 +1,4 @@
-"""Places where a twin disagrees: events, heat, regimes, on runs with effects that it lacks."""
+"""Places where a twin disagrees: events and regimes, on runs with effects that it lacks."""
 
 from dataclasses import replace
 
@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from edge.core.errors import DataError
-from edge.diagnosis.locate.candidates import jumps, pulses, score, spikes, white
 from edge.diagnosis.locate.events import find_events
-from edge.diagnosis.locate.regimes import conditions, regimes
-from edge.diagnosis.locate.residual_heat import HeatNoise, residual_heat
-from edge.diagnosis.locate.residuals import residuals_of
-from edge.diagnosis.locate.rows import rows_of
+from edge.diagnosis.locate.heat_filter import HeatNoise, filter_heat, likeliest, steps_of, white
+from edge.diagnosis.locate.shapes import EventShape, shapes_of
+from edge.diagnosis.where import conditions, innovations, regimes
+from edge.twin.fit import free_run
 from edge.twin.model import BoxTwin
 from edge.twin.run_batch import RunBatch
 from edge.twin.warm_start import at_rest
@@ -39,11 +38,6 @@ def _kept(values, rows_each, rows):
 
 def names(runs):
     return [f"run_{i}" for i in range(len(runs.temp))]
-
-
-def located(runs, effects=BASE, noise_k=NOISE_K):
-    """Residuals of a twin with these effects alone."""
-    return residuals_of(BoxTwin(effects=effects), runs, names(runs), noise_k)
 
 
 # doors, spikes and jumps
@@ -160,151 +154,166 @@ def test_heat_that_comes_and_stays_is_no_door():
     assert found_in(replace(runs, temp=whole)).doors == ()
 
 
-# the heat that explains a run
-
-
-BENT = {**BASE, "natural_convection": {"G_nc": 2.0}}
-HIDDEN = {
-    "lag and wall": {
-        "extra_capacity": {"kC": 4.0},
-        "wall_mass": {"C_w": 9000.0, "G_in": 9.0, "G_out": 8.0},
-        "heater_lag": {"tau_h": 200.0},
-    },
-    "one node": BASE,
-    "bent": BENT,
-    "late": {**BASE, "heater_deadtime": {"d_h": 45.0}},
-    "fast": {"wall_loss": {"UA": 5.0}},
-}
-
-
-@pytest.mark.parametrize("effects", HIDDEN.values(), ids=HIDDEN)
-def test_a_hidden_constant_heat_comes_out_in_watts(effects):
-    runs = made({**effects, "constant_heat": {"P0": 5.0}})
-    found = residual_heat(BoxTwin(effects=effects), runs, NOISE_K)
-    assert found.heat_w.mean() == pytest.approx(5.0, abs=0.15)
-    assert np.abs(found.heat_w - 5.0).max() < 1.5
-    # Errors in units of the stated sd: not far from 1 on average.
-    assert np.sqrt((((found.heat_w - 5.0) / found.sd_w) ** 2).mean()) < 2.0
-
-
-@pytest.mark.parametrize("effects", [BASE, HIDDEN["fast"]], ids=["slow", "fast"])
-def test_a_hidden_wall_loss_is_a_heat_of_minus_2_w_per_k(effects):
-    more = {**effects, "wall_loss": {"UA": effects["wall_loss"]["UA"] + 2.0}}
-    runs = located(made(more), effects)
-    heat, excess = (
-        np.concatenate(part) for part in zip(*((r.heat_w, r.excess_k) for r in runs), strict=True)
+def test_a_box_of_twice_the_power_loss_and_capacity_has_the_same_events():
+    hidden = made(DOOR, count=6, conditions=opened(PLACES), **CALM)
+    temp = hidden.temp.copy()
+    temp[5, 100] += 2.0
+    runs, small = replace(hidden, temp=temp, conditions={}), BoxTwin(effects=BASE)
+    plain = small.geometry
+    large = replace(
+        small,
+        geometry=replace(
+            plain,
+            volume_m3=2.0 * plain.volume_m3,
+            heater_max_w=2.0 * plain.heater_max_w,
+            fan_max_m3_s=2.0 * plain.fan_max_m3_s,
+        ),
+        effects={**BASE, "wall_loss": {"UA": 2.0 * BASE["wall_loss"]["UA"]}},
     )
-    assert (heat @ excess) / (excess @ excess) == pytest.approx(-2.0, abs=0.06)
-    # Two thirds of the errors would be within one sd, if the heat really wandered at random.
-    sd = residual_heat(BoxTwin(effects=effects), made(more), NOISE_K).sd_w.ravel()
-    assert 0.5 < np.mean(np.abs(heat + 2.0 * excess) < sd) < 0.95
+    one, other = (find_events(twin, runs, names(runs), NOISE_K) for twin in (small, large))
+    np.testing.assert_allclose(other.door_open, one.door_open, atol=1e-6)
+    assert (other.wrong == one.wrong).all()
+    assert one.wrong.any()
+    pairs = list(zip(one.doors, other.doors, strict=True))
+    assert len(pairs) >= 5
+    for a, b in pairs:
+        assert (b.run, b.from_row, b.to_row) == (a.run, a.from_row, a.to_row)
+        assert b.conductance_w_k == pytest.approx(2.0 * a.conductance_w_k)
+        assert b.heat_w == pytest.approx(2.0 * a.heat_w)
 
 
-def test_a_right_twin_leaves_no_heat_and_white_innovations():
-    found = residual_heat(BoxTwin(effects=BASE), made(BASE), NOISE_K)
-    assert np.abs(found.heat_w).max() < 0.5
-    assert found.noise == HeatNoise(0.03, 0.0)  # the least of the levels tried
-    assert white(found.way).std() == pytest.approx(1.0, abs=0.05)
+# the filter
 
 
-def test_missing_readings_and_the_end_of_a_shorter_run():
-    runs = made({**BASE, "constant_heat": {"P0": 5.0}}, count=2)
-    temp = runs.temp.copy()
-    temp[0, 50:70], temp[1, 121:] = np.nan, np.nan
-    found = residual_heat(BoxTwin(effects=BASE), replace(runs, temp=temp), NOISE_K, HeatNoise(1.0, 0.0))
-    assert np.isfinite(found.heat_w[0]).all()
-    assert found.sd_w[0, 60] > 1.5 * found.sd_w[0, 30]  # a hole makes it less sure
-    assert np.isfinite(found.heat_w[1, :120]).all()
-    assert np.isnan(found.heat_w[1, 120:]).all()
-    short = located(replace(runs, temp=temp))[1]
-    assert len(short.heat_w) == len(short.duty) == len(short.innovation) == 120
+ONE_LEVEL = HeatNoise(np.array([0.01]), np.array([0.02]))
+
+
+def filtered(runs):
+    steps = steps_of(BoxTwin(effects=BASE), runs, NOISE_K)
+    return steps, filter_heat(steps, NOISE_K, ONE_LEVEL)
+
+
+def test_a_right_twin_leaves_no_unknown_heat_and_white_innovations():
+    steps = steps_of(BoxTwin(effects=BASE), made(BASE), NOISE_K)
+    noise = likeliest(steps, NOISE_K)
+    assert noise == (0.0005, 0.0)  # the least of the levels tried
+    assert white(filter_heat(steps, NOISE_K, noise)).std() == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_run_without_room_temperature_is_refused():
     runs = made(BASE, count=1)
     with pytest.raises(DataError, match="temp_ambient_c: not known"):
-        residual_heat(BoxTwin(effects=BASE), replace(runs, ambient=np.full_like(runs.ambient, np.nan)))
+        found_in(replace(runs, ambient=np.full_like(runs.ambient, np.nan)))
 
 
 def test_responses_are_what_a_changed_run_shows():
-    twin, runs, noise = BoxTwin(effects=BASE), made(BASE, count=1, rows=60), HeatNoise(1.0, 2.0)
-    plain = residual_heat(twin, runs, NOISE_K, noise)
-    heated = {}
-    for kind, rows in (("pulse", slice(20, 21)), ("jump", slice(20, None))):
+    twin, runs = BoxTwin(effects=BASE), made(BASE, count=1, rows=60)
+    steps, plain = filtered(runs)
+    changed = {}
+    for kind, rows in (("door", slice(20, 21)), ("jump", slice(20, None))):
         source = np.zeros_like(runs.duty)
-        source[:, rows] = 1.0 / twin.system.air_capacity_j_k
+        source[:, rows] = twin.geometry.heater_max_w / twin.system.air_capacity_j_k
         start = runs.temp[:, :1]
         whole = twin.rollout(start, runs.duty, runs.fan, runs.ambient, source)
         gained = whole - twin.rollout(start, runs.duty, runs.fan, runs.ambient)
-        heated[kind] = np.pad(gained, ((0, 0), (1, 0)))
-    heated["spike"] = np.zeros_like(runs.temp)
-    heated["spike"][0, 21] = 1.0
-    for kind, response in (("pulse", pulses), ("jump", jumps), ("spike", spikes)):
-        other = residual_heat(twin, replace(runs, temp=runs.temp + heated[kind]), NOISE_K, noise)
-        change = (white(other.way) - white(plain.way))[0, 20:]
-        np.testing.assert_allclose(response(plain.steps, plain.way)[0, 20, :40], change, atol=1e-9)
+        changed[kind] = np.pad(gained, ((0, 0), (1, 0)))
+    changed["spike"] = np.zeros_like(runs.temp)
+    changed["spike"][0, 21] = 1.0
+    [shapes] = shapes_of(steps, plain, np.full_like(runs.duty, -1.0))
+    for kind, more in changed.items():
+        _, other = filtered(replace(runs, temp=runs.temp + more))
+        change = (white(other) - white(plain))[0]
+        response = shapes.response(EventShape(kind, 20, 21))
+        np.testing.assert_allclose(response, change, atol=1e-9)
+        # What fits best is the change itself: of size 1, and as sure as its square says.
+        z, size = shapes.scores(kind, change)
+        assert (size[20, 0], z[20, 0]) == (pytest.approx(1.0), pytest.approx(np.sqrt(change @ change)))
 
 
-def test_a_score_weighs_the_rows_from_its_own_on():
-    rng = np.random.default_rng(0)
-    response, innovations = rng.normal(size=(30, 7)), rng.normal(size=30)
-    expected = [response[i, : 30 - i] @ innovations[i : i + 7] for i in range(30)]
-    assert score(response, innovations) == pytest.approx(expected)
+def test_a_longer_door_is_the_sum_of_its_rows():
+    runs = made(BASE, count=1, rows=60)
+    steps, way = filtered(runs)
+    [shapes] = shapes_of(steps, way, runs.temp[:, 1:] - runs.ambient)
+    whole = shapes.response(EventShape("door", 50, 55))
+    z, size = shapes.scores("door", whole)
+    assert (size[50, 4], z[50, 4]) == (pytest.approx(1.0), pytest.approx(np.sqrt(whole @ whole)))
+    assert np.unravel_index(np.abs(z).argmax(), z.shape) == (50, 4)
+    assert not z[50:, 10:].any()  # past the end
 
 
-def test_residuals_carry_the_inputs_and_the_time():
-    light, utc = np.ones((2, 180)), 1.0e9 + 60.0 * np.arange(180) + np.array([[0.0], [1.0e5]])
-    runs = replace(made(BASE, count=2), conditions={"light": light, "utc": utc})
-    first, second = located(runs)
-    assert (first.name, second.step_s) == (names(runs)[0], 60.0)
-    assert second.utc_s[[0, -1]] == pytest.approx(1.0e9 + 1.0e5 + np.array([0.0, 179.0 * 60.0]))
-    assert first.light is not None
-    assert first.rel_humidity is None
-    assert np.nanstd(first.free_run_k) == pytest.approx(NOISE_K, rel=0.2)  # nothing is missing but noise
+def test_a_right_twin_leaves_white_innovations_and_a_wrong_one_does_not():
+    right, wrong = (
+        innovations(BoxTwin(effects=BASE), made(effects), NOISE_K).ravel()
+        for effects in (BASE, {**BASE, "wall_loss": {"UA": 8.0}})
+    )
+    after_one = [float(np.corrcoef(values[1:], values[:-1])[0, 1]) for values in (right, wrong)]
+    assert abs(after_one[0]) < 0.1 < 0.3 < after_one[1]
+
+
+def test_a_missing_reading_has_no_innovation_and_the_next_ones_have():
+    runs = made(BASE, count=2)
+    temp = runs.temp.copy()
+    temp[0, [0, 50, 51]], temp[1, 121:] = np.nan, np.nan
+    found = innovations(BoxTwin(effects=BASE), replace(runs, temp=temp), NOISE_K)
+    assert np.flatnonzero(np.isnan(found[0])).tolist() == [49, 50]
+    assert np.flatnonzero(np.isnan(found[1])).tolist() == [*range(120, 180)]
 
 
 # regimes
 
 
+def errors_k(runs):
+    """Errors of free runs of the plain box."""
+    found = free_run(BoxTwin(effects=BASE), runs, runs.ambient, NOISE_K)
+    return np.where(found.measured, found.residual, np.nan)
+
+
+def regimes_of(runs, error_k=None):
+    return regimes(BoxTwin(effects=BASE), runs, names(runs), errors_k(runs) if error_k is None else error_k)
+
+
+def masks(runs):
+    return {item.where: item.mask for item in conditions(runs, names(runs), 60.0)}
+
+
 def masked(runs, regime):
     """Return the rows of a regime, by its words."""
-    masks = {item.where: item.mask for item in conditions(rows_of(runs))}
-    return np.all([masks[part] for part in regime["where"].split(" and ")], axis=0)
+    every = masks(runs)
+    return np.all([every[part] for part in regime["where"].split(" and ")], axis=0)
 
 
 def test_a_right_twin_has_no_regime():
-    assert regimes(located(made(BASE, count=10))) == []
+    assert regimes_of(made(BASE, count=10)) == []
 
 
 def test_a_hidden_loss_lies_where_the_box_is_warm_and_the_twin_gains_too_much():
-    runs = located(made({**BASE, "wall_loss": {"UA": 6.0}}, count=10))
-    first = regimes(runs)[0]
+    runs = made({**BASE, "wall_loss": {"UA": 6.0}}, count=10)
+    first = regimes_of(runs)[0]
     assert "T - T_amb >" in first["where"]
     assert first["share_low"] < first["share_of_squared_error"] < first["share_high"]
     assert first["share_of_squared_error"] > 2.0 * first["share_of_rows"]
-    excess = rows_of(runs).inputs["excess_k"][masked(runs, first)]
-    # 2 W/K that the twin does not know, over the rows of the regime.
-    assert first["heat_w"] == pytest.approx(-2.0 * excess.mean(), abs=3.0 * first["heat_w_se"] + 0.3)
+    excess = (runs.temp[:, 1:] - runs.ambient)[masked(runs, first)]
+    # 2 W/K that the twin does not know, over the rows of the regime; the rows before them are nearly as warm.
+    assert first["heat_w"] == pytest.approx(-2.0 * excess.mean(), rel=0.15)
 
 
 def test_a_weak_fan_lies_where_the_fan_is_on_and_the_twin_gains_too_little():
-    runs = located(made({**BASE, "fan_effectiveness": {"eps_f": 0.7}}, count=10))
-    first = regimes(runs)[0]
-    assert "the fan" in first["where"]
+    first = regimes_of(made({**BASE, "fan_effectiveness": {"eps_f": 0.7}}, count=10))[0]
+    assert "the fan is on" in first["where"]
     assert first["heat_w"] > 4.0 * first["heat_w_se"] > 0.0
 
 
 def test_a_constant_heat_has_its_watts_in_each_regime():
-    found = regimes(located(made({**BASE, "constant_heat": {"P0": 5.0}}, count=10)))
-    assert found[0]["where"].startswith("the fan is off")
+    found = regimes_of(made({**BASE, "constant_heat": {"P0": 5.0}}, count=10))
+    assert "the fan is off" in found[0]["where"]
     for regime in found:
         assert regime["heat_w"] == pytest.approx(5.0, abs=0.2)
 
 
 def test_regimes_do_not_say_the_same_twice():
-    runs = located(made({**BASE, "wall_loss": {"UA": 6.0}}, count=10))
-    found = [masked(runs, regime) for regime in regimes(runs)]
-    squared = rows_of(runs).error_k ** 2
+    runs = made({**BASE, "fan_effectiveness": {"eps_f": 0.7}}, count=10)
+    found, squared = [masked(runs, regime) for regime in regimes_of(runs)], errors_k(runs) ** 2
+    assert len(found) > 1
     for i, one in enumerate(found):
         for other in found[:i]:
             smaller = min(squared[mask].sum() for mask in (one, other))
@@ -312,30 +321,22 @@ def test_regimes_do_not_say_the_same_twice():
 
 
 def test_few_rows_are_not_believed():
-    runs = [run for run in located(made(BASE, count=10))]
-    broken = runs[3].free_run_k.copy()
-    broken[40:50] += 30.0  # all of the error in ten rows of one run
-    runs[3] = replace(runs[3], free_run_k=broken)
-    assert regimes(runs) == []
+    runs = made(BASE, count=10)
+    error_k = errors_k(runs)
+    error_k[3, 40:50] += 30.0  # all of the error in ten rows of one run
+    assert regimes_of(runs, error_k) == []
 
 
-def test_no_run_and_no_counted_row_have_no_regime():
-    assert regimes([]) == []
-    run = located(made(BASE, count=1))[0]
-    unknown = replace(run, free_run_k=np.full_like(run.free_run_k, np.nan))
-    assert regimes([unknown]) == []
+def test_no_counted_row_has_no_regime():
+    runs = made(BASE, count=1)
+    assert regimes_of(runs, np.full_like(runs.duty, np.nan)) == []
 
 
 def test_just_switched_counts_rows_from_the_switch():
-    run = located(made(BASE, count=1, rows=12))[0]
-    duty = np.array([0, 0, 0.4, 0.4, 0.4, 0.2, 0, 0, 0.2, 0, 0, 0])
-    rows = rows_of([replace(run, duty=duty)])
-    masks = {item.where: np.flatnonzero(item.mask).tolist() for item in conditions(rows)}
-    assert masks["the heater has just gone on (first row)"] == [2, 8]
-    assert masks["the heater has just gone on (first 2 rows)"] == [2, 3, 8]
-    assert masks["the heater has just gone off (first 5 rows)"] == [6, 7, 9, 10, 11]  # not the start
-    assert masks["the duty is 0 to 0.25"] == [5, 8]
-    assert "the duty is 0.5 to 0.75" not in masks  # never
+    duty = np.array([[0, 0, 0.4, 0.4, 0.4, 0.2, 0.2, 0.2, 0, 0.2, 0, 0]])
+    found = masks(replace(made(BASE, count=1, rows=12), duty=duty))
+    assert np.flatnonzero(found["the heater went on in the last 5 min"]).tolist() == [*range(2, 7), 9, 10, 11]
+    assert np.flatnonzero(found["the heater went off in the last 5 min"]).tolist() == [8, 9, 10, 11]
 
 
 def test_light_hour_day_and_humidity_are_asked_where_they_are_known():
@@ -343,18 +344,9 @@ def test_light_hour_day_and_humidity_are_asked_where_they_are_known():
     utc = 1.0e9 + 60.0 * np.arange(rows) + np.array([[0.0], [86400.0], [180000.0]])
     light = np.repeat([[0.0, 1.0]], 3, axis=0).repeat(rows // 2, axis=1)
     more = {"utc": utc, "light": light, "rel_humidity": 50.0 + 5.0 * np.sin(utc / 900.0)}
-    runs = located(replace(made(BASE, count=3, rows=rows), conditions=more))
-    wheres = {item.where for item in conditions(rows_of(runs))}
+    runs = made(BASE, count=3, rows=rows)
+    wheres = masks(replace(runs, conditions=more)).keys()
     # 1e9 s is 2001-09-09 01:46:40 UTC
-    assert {"the light is on", "on day 1", "on day 3", "between 00 and 03 h UTC"} <= wheres
+    assert {"the light is on", "the time > 2.1 days", "between 00 and 03 h UTC"} <= wheres
     assert any("humidity >" in where for where in wheres)
-    assert not any("UTC" in item.where for item in conditions(rows_of(located(made(BASE, count=3)))))
-
-
-def test_a_right_twin_leaves_white_innovations_and_a_wrong_one_does_not():
-    right, wrong = (
-        np.concatenate([run.innovation for run in located(made(effects))])
-        for effects in (BASE, {**BASE, "wall_loss": {"UA": 8.0}})
-    )
-    after_one = [float(np.corrcoef(values[1:], values[:-1])[0, 1]) for values in (right, wrong)]
-    assert abs(after_one[0]) < 0.1 < 0.3 < after_one[1]
+    assert not any("UTC" in where or "time" in where for where in masks(runs))
