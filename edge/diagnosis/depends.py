@@ -1,6 +1,5 @@
 """Dependences of an effect without a name: a heat in proportion to something that was recorded."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +41,7 @@ def dependences(choice: TwinChoice, handed: TriedTwin) -> tuple[Dependence, ...]
     steps = linearise(fit.file.twin(), runs.batch)
     shapes = _shapes(runs.batch, choice.file.sample_s)
     shown = responses([EnsembleRun(steps, None, steps.heat * shape.values.T[..., None]) for shape in shapes])
-    folds, found = folds_of(runs), []
+    folds, best = folds_of(runs), dict[tuple[str, ...], Dependence]()
     base = block_squares(with_slopes(fit, np.empty((0, *runs.seen.shape)), folds, runs)[0], folds)[0]
     for shape, response in zip(shapes, shown, strict=True):
         size = float(np.abs(response).max())
@@ -51,13 +50,11 @@ def dependences(choice: TwinChoice, handed: TriedTwin) -> tuple[Dependence, ...]
         errors, value = with_slopes(fit, response[None] / size, folds, runs)
         blocks, _ = block_squares(errors, folds)
         less = float(np.mean(0.5 * np.log((base + runs.noise_k**2) / (blocks + runs.noise_k**2))))
-        if less > LESS:
-            found.append(Dependence(shape.text, shape.unit, shape.signals, less, float(value[0]) / size))
-    found.sort(key=lambda item: -item.less)
-    first: dict[tuple[str, ...], Dependence] = {}
-    for item in found:
-        first.setdefault(item.signals, item)
-    return tuple(first.values())[:MOST]
+        if less > LESS and (shape.signals not in best or less > best[shape.signals].less):
+            best[shape.signals] = Dependence(
+                shape.text, shape.unit, shape.signals, less, float(value[0]) / size
+            )
+    return tuple(sorted(best.values(), key=lambda item: -item.less)[:MOST])
 
 
 def _shapes(runs: RunBatch, step_s: float) -> list[_Shape]:
@@ -80,12 +77,7 @@ def _shapes(runs: RunBatch, step_s: float) -> list[_Shape]:
         above = np.maximum(air - warm, 0.0)
         found.append(_Shape(f"max(T - {warm:g}, 0)", "W/K", ("temp_air",), above))
         found.append(_Shape(f"u max(T - {warm:g}, 0)", "W/K", ("heater_duty", "temp_air"), runs.duty * above))
-    found += _of_conditions(runs.conditions, excess)
-    return [shape for shape in found if np.ptp(shape.values) > 0.0]
-
-
-def _of_conditions(conditions: Mapping[str, Floats], excess: Floats) -> list[_Shape]:
-    found = []
+    conditions = runs.conditions
     if "light" in conditions:
         found.append(_Shape("L", "W", ("light",), conditions["light"]))
     if "rel_humidity" in conditions:
@@ -98,4 +90,4 @@ def _of_conditions(conditions: Mapping[str, Floats], excess: Floats) -> list[_Sh
             _Shape("sin(day)", "W", ("time",), np.sin(turn)),
             _Shape("cos(day)", "W", ("time",), np.cos(turn)),
         ]
-    return found
+    return [shape for shape in found if np.ptp(shape.values) > 0.0]
