@@ -42,15 +42,13 @@ HALF_OPEN = 0.7  # times the usual door's conductance, below which one is not as
 
 @dataclass(frozen=True, slots=True)
 class DoorOpening:
-    """A door that was open during rows [from_row, to_row) of a run.
+    """A door that was open for a while, in time since a run's first row.
 
-    heat_w : mean residual heat in them, below 0 when heat is lost
+    heat_w : mean residual heat meanwhile, below 0 when heat is lost
     conductance_w_k : towards the room while it was widest open
     """
 
     run: str
-    from_row: int
-    to_row: int
     from_s: float
     to_s: float
     heat_w: float
@@ -96,10 +94,10 @@ def find_events(twin: BoxTwin, runs: RunBatch, names: Sequence[str], sensor_k: f
     power_w, doors = twin.geometry.heater_max_w, []
     for i, (name, run) in enumerate(zip(names, opened, strict=True)):
         for begin, end in _spans(door_open[i] > 0.0):
-            at = begin, end, begin * twin.step_s, end * twin.step_s
             heat_w = -power_w * float((run.conductance * excess_k[i])[begin:end].mean())
             widest = usual * float(door_open[i, begin:end].max())
-            doors.append(DoorOpening(name, *at, heat_w, power_w * widest))
+            at_s = begin * twin.step_s, end * twin.step_s
+            doors.append(DoorOpening(name, *at_s, heat_w, power_w * widest))
     return LocatedEvents(tuple(doors), door_open, wrong)
 
 

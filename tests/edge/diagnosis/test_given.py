@@ -162,7 +162,7 @@ def test_a_door_is_found_becomes_a_column_and_is_in_the_free_run() -> None:
     runs = recordings()
     first, rows = opened(runs[0])
     found, [door] = checked([first, *runs[1:]])
-    assert (door.run, door.from_row, door.to_row) == ("run_01.csv", rows.start, rows.stop)
+    assert (door.run, door.from_s, door.to_s) == ("run_01.csv", 60.0 * rows.start, 60.0 * rows.stop)
     assert np.flatnonzero(found.runs.conditions["door_open"][0]).tolist() == [*range(rows.start, rows.stop)]
     assert not found.runs.conditions["door_open"][1:].any()
     with_door, run = {**BOX, "door_opening": {"G_door": DOOR_W_K}}, found.train[0].run
