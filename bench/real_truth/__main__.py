@@ -28,7 +28,7 @@ from bench.foreign.score import is_alike
 from bench.real_truth.logs import LOGS, RealLog, texts
 from bench.real_truth.readers import Columns
 from edge.core.errors import DataError
-from edge.diagnosis.grey_run import reading_noise_k, rests
+from edge.diagnosis.noise import reading_noise_k, rests
 from edge.diagnosis.runs import read_runs
 from edge.twin.twin_file import read_twin_file
 

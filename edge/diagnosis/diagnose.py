@@ -18,6 +18,7 @@ from edge.diagnosis.judge import DiagnosisVerdict, interval, judge, values_of
 from edge.diagnosis.prepare import PreparedRuns, prepare
 from edge.diagnosis.progress import Progress, Stage, Telling
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
+from edge.diagnosis.seeds import seeds
 from edge.diagnosis.twin_choice import (
     MOST_ADDED,
     OPEN,
@@ -137,8 +138,7 @@ def diagnose(file: TwinFile, data: DiagnosisRuns, progress: Progress, command: s
     prepared = prepare(file, data, Stage(progress, *PREPARED))
     telling = Stage(progress, *SEARCHED)
     choice = _choice(prepared, telling)
-    seeds = [(frozenset(item.effects), begun(item.with_them())) for item in prepared.seeds]
-    names = choice.grow([item for item in seeds if item[0] <= set(choice.candidates)])
+    names = choice.grow(seeds(choice.file, choice.runs))
     telling("doors and wrong readings")
     prepared, choice, names, doors = _with_events(prepared, choice, names, telling)
     telling("what has no name")

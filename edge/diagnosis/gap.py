@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import DataError
 from edge.diagnosis.diagnosis_document import GapErrors, RunErrors
-from edge.diagnosis.grey_run import reading_noise_k, rests, usual_room_c
+from edge.diagnosis.noise import reading_noise_k, rests, usual_room_c
 from edge.diagnosis.prepare import PreparedRuns, over_rows
 from edge.diagnosis.runs import NamedRun, has_column
 from edge.diagnosis.twin_choice import FIRST_ROWS

@@ -20,6 +20,7 @@ from edge.diagnosis.twin_choice import (
     TriedTwin,
     TwinChoice,
     features,
+    is_slow,
     log_odds,
 )
 from edge.diagnosis.twin_fit import FittedTwin
@@ -181,14 +182,7 @@ def evidence_of(choice: TwinChoice, names: Names, name: str) -> NameEvidence:
         own.left_out_k,
         less.left_out_k,
         len(own.left_out),
-        _is_slow(name),
-    )
-
-
-def _is_slow(name: str) -> bool:
-    effect = EFFECTS.get(name)
-    return effect is not None and (
-        effect.time_constant is not None or any(item.kind in LAGS for item in effect.parameters)
+        is_slow(name),
     )
 
 

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.baselines import LOSING, STORING
-from edge.diagnosis.choose import GreyChoice, choose
-from edge.diagnosis.gauge import NamedValues, in_watts
-from edge.diagnosis.grey_run import GreyRun, reading_noise_k, rests, usual_room_c
+from edge.diagnosis.noise import reading_noise_k, rests, usual_room_c
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.readings import spikes, stuck_readings, wrong_first
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
+from edge.diagnosis.seeds import first_twin
 from edge.diagnosis.twin_fit import POWER_SD, FitRuns
 from edge.twin.run_batch import RunBatch, batch_runs
 from edge.twin.twin_file import TwinFile
@@ -21,8 +20,6 @@ Mask = NDArray[np.bool_]
 RATIOS = np.logspace(-3.0, 2.0, 16)  # wander between two rows over the noise of a reading, variances
 LEAST_ROWS = 10
 LEAST_K, LEAST_SD = 1e-3, 1e-4  # of a reading's noise, and of a power's: what is declared as none
-HEATING = ("light", "solar")  # columns that may heat in proportion
-GREY_ROWS = 400  # that grey boxes are fitted to: thinner rows cost accuracy, more of them time
 
 
 def smooth(ambient: Floats) -> Floats:
@@ -68,11 +65,10 @@ def over_rows(ambient: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedRuns:
-    """The twin, with what it leaves open where grey boxes fit, and the training runs.
+    """The twin, with what it leaves open where one mass fits, and the training runs.
 
     file : at the step of the runs; given : as it was given
     runs : without wrong readings; its room a guessed constant in runs where nobody measured it
-    seeds : effects that the grey box which suits best may stand for, with their values, likeliest first
     rests : [B], runs that begin in balance with their rooms
     wrong : readings taken out; open_rooms : [B], runs whose room nobody measured
     """
@@ -85,7 +81,6 @@ class PreparedRuns:
     rests: Mask
     open_rooms: Mask
     wrong: int
-    seeds: tuple[NamedValues, ...]
 
     @property
     def guessed(self) -> bool:
@@ -107,8 +102,7 @@ class PreparedRuns:
     @property
     def fit_runs(self) -> FitRuns:
         """The rows that twins are fitted to."""
-        power = self.given.nuisance.get("heater_power_run_sd")
-        sd = POWER_SD if power is None else max(power, LEAST_SD)
+        sd = _power_sd(self.given)
         return FitRuns(self.runs, self.noise_k, self.rests, self.open_rooms, sd)
 
     @property
@@ -142,15 +136,13 @@ def prepare(file: TwinFile, data: DiagnosisRuns, telling: Telling = lambda text:
     if not guessed.all():
         ambient[~guessed] = over_rows(ambient[~guessed])
     runs = replace(runs, ambient=ambient)
-    seeds: list[NamedValues] = []
-    unknown = any(place[1] in (LOSING, STORING) for place in work.to_fit())
-    if unknown and runs.duty.any():  # else nothing tells watts
-        telling("grey boxes")
-        grey, columns = _choose_grey(work, runs, bool(guessed.any()), resting, noise_k)
-        for key in dict.fromkeys((grey.terms, frozenset[str]())):
-            placed, sets = in_watts(work, grey.tried[key], columns)
-            seeds += [NamedValues(placed, effects) for effects in sets if effects]
-        work = in_watts(work, grey.tried[frozenset()], columns)[0]
+    fit_runs = FitRuns(runs, noise_k, resting, guessed, _power_sd(file))
+    if {place[1] for place in work.to_fit()} & {
+        LOSING,
+        STORING,
+    } and runs.duty.any():  # else nothing tells watts
+        telling("one mass")
+        work = first_twin(work, fit_runs)
     return PreparedRuns(
         file,
         replace(work, answer_s=_answer_s(work)),
@@ -160,8 +152,12 @@ def prepare(file: TwinFile, data: DiagnosisRuns, telling: Telling = lambda text:
         resting,
         guessed,
         int(wrong.sum()),
-        tuple(seeds),
     )
+
+
+def _power_sd(file: TwinFile) -> float:
+    power = file.nuisance.get("heater_power_run_sd")
+    return POWER_SD if power is None else max(power, LEAST_SD)
 
 
 def _answer_s(file: TwinFile) -> float | None:
@@ -184,33 +180,3 @@ def noise_of(file: TwinFile, data: DiagnosisRuns) -> float:
     declared = file.sensor.get("noise_sd_k")
     shown = reading_noise_k([named.run for named in data.train])
     return max(float(np.hypot(shown if declared is None else declared, step_k / 12**0.5)), LEAST_K)
-
-
-def _choose_grey(
-    file: TwinFile, runs: RunBatch, guessed: bool, resting: Mask, noise_k: float
-) -> tuple[GreyChoice, list[str]]:
-    """Return the grey box that suits, and the columns beside the heater's that it has gains of."""
-    thin = max(1, int(np.ceil(np.isfinite(runs.temp).sum() / GREY_ROWS)))
-    moving = [name for name in HEATING if name in runs.conditions and np.ptp(runs.conditions[name]) > 0.0]
-    found = []
-    for i, temp in enumerate(runs.temp):
-        rows = int(np.flatnonzero(np.isfinite(temp))[-1]) + 1
-
-        def mean(column: Floats, rows: int = rows, i: int = i) -> Floats:
-            own = column[i, : rows - 1]
-            padded = np.pad(own, (0, -len(own) % thin), mode="edge").reshape(-1, thin).mean(axis=1)
-            return np.append(padded, padded[-1])
-
-        air = temp[:rows:thin]
-        count = len(air)
-        found.append(
-            GreyRun(
-                air,
-                mean(runs.duty)[:count],
-                None if guessed else mean(runs.ambient)[:count],
-                tuple(mean(runs.conditions[name])[:count] for name in moving),
-                mean(runs.fan)[:count] if file.fan_role == "exhaust" else None,
-                bool(resting[i]),
-            )
-        )
-    return choose(found, thin * file.sample_s, noise_k), [*moving, *([""] if moving else [])]

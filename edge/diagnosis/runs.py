@@ -108,7 +108,7 @@ USABLE_ROWS = 30  # with a temperature, of all training runs together
 FEWEST_STEPS = 5  # of the twin, that all runs last: minutes may have been taken for seconds
 PIECE_ROWS = 5  # with a temperature: in fewer, the start takes all that a piece tells
 FROM_S = "validate_from_s"
-LONGEST_ROWS, ROWS_MAX = 3000, 24_000  # of a run, and of all together: more cost time and tell little
+LONGEST_ROWS, ROWS_MAX = 1500, 24_000  # of a run, and of all together: more cost time and tell little
 _COLUMN = {name: key for key, name in CONDITIONS.items()}
 
 Floats = NDArray[np.float64]

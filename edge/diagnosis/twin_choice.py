@@ -1,8 +1,9 @@
 """Which effects a twin lacks: grown effect by effect by the free runs over rows that no fit saw."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,10 +165,14 @@ class TwinChoice:
         longest_s = float(self.runs.seen.sum(axis=1).max()) * self.file.sample_s
         return _slowest_s(self.tried[names].fit, name) > SLOWEST_RUNS * longest_s
 
-    def grow(self, seeds: Sequence[tuple[Names, Begun]] = ()) -> Names:
-        """Add, take away and exchange effects while left-out rows are forecast better."""
-        known: list[tuple[Names, Begun]] = [(frozenset(), begun(self.file)), *seeds]
-        self.attempt([*known, *((names, begun(_with(self.file, names))) for names, _ in seeds)])
+    def grow(self, seeds: Mapping[Names, FittedTwin] = MappingProxyType({})) -> Names:
+        """Add, take away and exchange effects while left-out rows are forecast better.
+
+        seeds : sets to begin with, and fits of other rows whose values they begin from
+        """
+        plain = {names: begun(_with(self.file, names)) for names in (frozenset[str](), *seeds)}
+        lent = [(names, _lend(plain[names], fit)) for names, fit in seeds.items()]
+        self.attempt([*lent, *plain.items()])
         for seed in [self.usual, *map(sorted, self.tried)]:
             self._try_one_more(frozenset(), seed)
         now = self.best(self.tried)
@@ -251,6 +256,14 @@ def _slowest_s(fit: FittedTwin, name: str) -> float:
     if (formula := EFFECTS[name].time_constant) is not None:
         found.append(formula[1](values))
     return max(found, default=0.0)
+
+
+def is_slow(name: str) -> bool:
+    """Return whether an effect is a lag or a body that stores heat."""
+    effect = EFFECTS.get(name)
+    return effect is not None and (
+        effect.time_constant is not None or any(item.kind in LAGS for item in effect.parameters)
+    )
 
 
 def _commonness(names: Names) -> int:

@@ -5,7 +5,7 @@ follow from the rows that a fit sees by linear least squares with weak priors (v
 Pereyra 1973, SIAM J. Numer. Anal. 10).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -130,6 +130,8 @@ class _Task:
     here: Simulated | None = None
     best: Floats = field(default_factory=lambda: np.empty(0))
     slopes: Floats | None = None  # that are kept from where it began
+    exact: bool = False  # whether the slopes at the best place are computed there, not followed from others
+    refresh: bool = True  # whether they are wanted next
     done: bool = False
 
 
@@ -214,22 +216,19 @@ class Projected:
 
 def project(found: Simulated, mask: Mask, error_k: float) -> Projected:
     """Add up over masked rows, in (standard deviations of an error)²."""
-    a = np.where(mask, found.starts, 0.0) / error_k
-    r = np.where(mask, found.error, 0.0) / error_k
-    j = np.where(mask, found.slopes, 0.0) / error_k
-    gram = np.einsum("sbn,tbn->bst", a, a)
+    a = np.where(mask, found.starts, 0.0).swapaxes(0, 1) / error_k
+    every = np.where(mask, np.concatenate([found.error[None], found.slopes]), 0.0) / error_k
+    gram = a @ a.swapaxes(1, 2)
     scale = np.arange(gram.shape[1])
     gram[:, scale, scale] += found.sds**-2
-    ar, aj = np.einsum("sbn,bn->bs", a, r), np.einsum("sbn,pbn->bsp", a, j)
+    told = a @ every.transpose(1, 2, 0)
     size = 1.0 / np.sqrt(gram[:, scale, scale])
     gram *= size[:, :, None] * size[:, None, :]
-    own = size[:, :, None] * np.linalg.solve(
-        gram, size[:, :, None] * np.concatenate([ar[:, :, None], aj], axis=2)
-    )
+    own = size[:, :, None] * np.linalg.solve(gram, size[:, :, None] * told)
+    flat = every.reshape(len(every), -1)
+    sums = flat @ flat.T - np.einsum("bsp,bsq->pq", told, own)
+    square, gradient, normal = float(sums[0, 0]), sums[0, 1:], sums[1:, 1:]
     by_error, by_slopes = own[:, :, 0], own[:, :, 1:]
-    square = float((r * r).sum() - (ar * by_error).sum())
-    gradient = np.einsum("pbn,bn->p", j, r) - np.einsum("bsp,bs->p", aj, by_error)
-    normal = np.einsum("pbn,qbn->pq", j, j) - np.einsum("bsp,bsq->pq", aj, by_slopes)
     return Projected(square, gradient, normal, by_error, by_slopes)
 
 
@@ -309,14 +308,35 @@ def fit_twins(
             task.slopes = item.simulated.slopes
             _take(task, item.simulated, runs.noise_k, last=False)
     for number in range(iterations + 1):
-        active = [task for task in tasks if not task.done]
-        if not active:
-            break
-        shown = simulate([(t.file, t.free, t.x) for t in active], runs, active[0].slopes is None)
-        for task, found in zip(active, shown, strict=True):
-            own = found if task.slopes is None else replace(found, slopes=task.slopes)
-            _take(task, own, runs.noise_k, last=number == iterations)
+        for task, found in _simulated([task for task in tasks if not task.done], runs):
+            _take(task, found, runs.noise_k, last=number == iterations)
+    stale = [task for task in tasks if not task.exact and task.slopes is None]
+    for task in stale:
+        task.refresh = True
+    for task, found in _simulated(stale, runs):
+        task.here = found
     return [_finish(task, runs) for task in tasks]
+
+
+def _simulated(tasks: Sequence[_Task], runs: FitRuns) -> Iterator[tuple[_Task, Simulated]]:
+    """Yield each task with what its place shows, with slopes."""
+    for whole in (True, False):
+        now = [task for task in tasks if whole is (task.refresh and task.slopes is None)]
+        shown = simulate([(t.file, t.free, t.x) for t in now], runs, whole) if now else []
+        for task, found in zip(now, shown, strict=True):
+            if task.slopes is not None:
+                yield task, replace(found, slopes=task.slopes)
+            elif whole:
+                yield task, found
+            else:
+                assert task.here is not None
+                yield task, replace(found, slopes=_follow(task.here, found, task.x - task.best))
+
+
+def _follow(before: Simulated, after: Simulated, move: Floats) -> Floats:
+    """Return slopes after a move, by what it did (Broyden 1965, Mathematics of Computation 19)."""
+    missed = before.error - after.error - np.einsum("pbn,p->bn", before.slopes, move)
+    return np.asarray(before.slopes + move[:, None, None] / max(float(move @ move), 1e-12) * missed)
 
 
 def _take(task: _Task, found: Simulated, noise_k: float, last: bool) -> None:
@@ -325,12 +345,16 @@ def _take(task: _Task, found: Simulated, noise_k: float, last: bool) -> None:
         task.error_k = _level(found, task.mask, noise_k, noise_k)
     sums = project(found, task.mask, task.error_k)
     cost = 0.5 * (sums.square + _prior(task, task.x))
-    if cost < task.cost:
-        gained = task.cost - cost
+    if task.refresh and task.here is not None and task.slopes is None:
+        task.here, task.exact, task.refresh = found, True, False
+    elif cost < task.cost:
+        gained, known = task.cost - cost, task.exact or task.slopes is not None
         task.cost, task.here, task.best = cost, found, task.x
+        task.exact, task.refresh = task.refresh, False
         task.damping = max(task.damping / 10.0, LEAST_DAMPING)
         if gained < ARRIVED * max(cost, 1.0):
-            task.done = True
+            # A step along slopes that are not those of its place is no proof that there is nothing to gain.
+            task.done, task.refresh = known, not known
         # What is left tells how far a reading may be off; the costs before are of another measure then.
         level = _level(found, task.mask, noise_k, task.error_k)
         if not task.done and abs(np.log(level / task.error_k)) > 0.1:
@@ -338,13 +362,18 @@ def _take(task: _Task, found: Simulated, noise_k: float, last: bool) -> None:
             sums = project(found, task.mask, level)
             task.cost = 0.5 * (sums.square + _prior(task, task.x))
     else:
-        task.damping *= 10.0
         task.x = task.best
         assert task.here is not None
         sums = project(task.here, task.mask, task.error_k)
-        task.done = task.damping > MOST_DAMPING
+        if task.exact or task.slopes is not None:
+            task.damping *= 10.0
+            task.done = task.damping > MOST_DAMPING
+        else:
+            task.refresh = True
     if last or task.done or not len(task.x):
         task.x, task.done = task.best, True
+        return
+    if task.refresh and task.slopes is None:
         return
     gradient, normal = _with_priors(task, sums)
     damped = normal + task.damping * np.diag(np.diag(normal))

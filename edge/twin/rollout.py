@@ -148,8 +148,13 @@ def rollout(table: Floats, index: Indices, states: Floats, driven: Floats) -> Fl
     table : [K, n, n]; index : [N, B]; states : [B, n], before the first step; driven : [N, B, n]
     """
     shown = np.empty(index.shape)
+    if not len(index):
+        return shown
+    matrices, is_steady = table[index[0]], bool((index == index[0]).all())
     for k in range(len(index)):
-        states = np.einsum("bij,bj->bi", table[index[k]], states)
+        if not is_steady:
+            np.take(table, index[k], axis=0, out=matrices)
+        states = times(matrices, states)
         states += driven[k]
         shown[k] = states[:, 0]
     return shown

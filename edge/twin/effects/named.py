@@ -120,7 +120,7 @@ HEATER_EFFECTS: Mapping[str, Effect] = by_name(
         source="convective fraction of a heat emitter, EN 15316-2",
         must_change=("heater_duty",),
         without="negative in proportion to the duty at first, less so once wall and soil have warmed",
-        starts=({"f_rad": 0.1},),
+        starts=({"f_rad": 0.1}, {"f_rad": 0.9}),
         check="an infrared thermometer on the walls while the heater is on",
     ),
     Effect(

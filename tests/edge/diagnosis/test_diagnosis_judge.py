@@ -1,16 +1,12 @@
 """edge/diagnosis/judge.py: names and what they must not depend on, from runs to the answer."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from edge import DiagnosisResult, Run, Twin, diagnose
-from edge.diagnosis import choose as grey
-from edge.diagnosis.grey_run import GreyRun
+from edge.formats.run_file import cut
 from edge.twin.model import BoxTwin
 from edge.twin.twin_file import TwinFile
 from edge.twin.value import Value
@@ -50,22 +46,6 @@ def open_file(start: float = 1.0, volume: float = 1.0, step_s: float = 60.0, **p
     return replace(file, geometry=geometry, sample_s=step_s, effects=effects)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def grey_boxes_once() -> Iterator[None]:
-    """Fit grey boxes to the same rows once, as they are most of the time."""
-    known: dict[Any, grey.GreyChoice] = {}
-
-    def choose(runs: Sequence[GreyRun], step_s: float, noise_k: float) -> grey.GreyChoice:
-        columns = [column for run in runs for column in (run.temp, run.duty, run.room) if column is not None]
-        key = (step_s, noise_k, *(column.tobytes() for column in columns))
-        if key not in known:
-            known[key] = grey.choose(runs, step_s, noise_k)
-        return known[key]
-
-    with patch("edge.diagnosis.prepare.choose", choose):
-        yield
-
-
 @pytest.fixture(scope="module")
 def plain() -> DiagnosisResult:
     return diagnosed(open_file(), LAG)
@@ -98,6 +78,19 @@ def test_what_a_file_guesses_changes_no_name(file: TwinFile, plain: DiagnosisRes
     assert (found.verdict, names(found)) == (plain.verdict, names(plain))
     assert lag_s(found) == pytest.approx(lag_s(plain), rel=0.01)
     assert POWER_SAID not in " ".join(found.document["findings"])
+
+
+def test_a_log_in_several_files_names_the_same() -> None:
+    runs = [recorded(LAG, seed, NOISE.sensor_k) for seed in (1, 2)]
+    halves = [
+        Run(f"{run.name}{begin}", cut(run.content, begin, begin + ROWS // 2))
+        for run in runs
+        for begin in (0, ROWS // 2)
+    ]
+    with candidates_only(*LAGS, "infiltration", "soil_mass"):
+        found = diagnose(Twin(open_file()), halves)
+    classes = [{name, *others} for name, others in names(found).items()]
+    assert (found.verdict, classes) == ("named", [LAGS])
 
 
 def lag_s(found: DiagnosisResult) -> float:

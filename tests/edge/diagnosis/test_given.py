@@ -7,7 +7,7 @@ import pytest
 
 from edge.diagnosis.events import DoorOpening, with_events
 from edge.diagnosis.gap import predict
-from edge.diagnosis.grey_run import rests, usual_room_c
+from edge.diagnosis.noise import reading_noise_k, rests, usual_room_c
 from edge.diagnosis.prepare import PreparedRuns, over_rows, prepare, smooth
 from edge.diagnosis.readings import spikes
 from edge.diagnosis.runs import NamedRun
@@ -290,3 +290,29 @@ def test_a_twin_that_runs_away_is_very_bad_and_ends_no_fit() -> None:
     (lost,) = fit_twins([begun(file)], prepared([run], file).fit_runs, 0)
     assert lost.rmse_k > 100.0
     assert np.isfinite(lost.x).all()
+
+
+def unheated(temp: Floats) -> RecordedRun:
+    return RecordedRun({"temp_air_c": temp})
+
+
+def test_noise_is_that_of_readings_and_at_least_their_rounding() -> None:
+    slow = 20.0 + 5.0 * np.sin(np.arange(400) / 60.0)
+    noisy = slow + 0.1 * np.random.default_rng(0).standard_normal(400)
+    assert reading_noise_k([unheated(noisy)]) == pytest.approx(0.1, rel=0.2)
+    stepped = np.round(slow * 2.0) / 2.0
+    assert reading_noise_k([unheated(stepped)]) == pytest.approx(0.5 / 12**0.5)
+    stepped[1::9] = 0.5 * (stepped[:-1:9] + stepped[1::9])[: len(stepped[1::9])]  # as resampling leaves them
+    assert reading_noise_k([unheated(stepped)]) == pytest.approx(0.5 / 12**0.5)
+
+
+@pytest.mark.parametrize(
+    ("temp", "is_resting"),
+    [
+        ([20.0] * 5 + list(np.linspace(20.0, 40.0, 50)), True),
+        (list(np.linspace(20.0, 40.0, 55)), False),  # it moves already
+        ([40.0] * 5 + list(np.linspace(40.0, 20.0, 50)), False),  # it holds still, and was heated before
+    ],
+)
+def test_a_run_that_begins_at_rest_is_recognised(temp: list[float], is_resting: bool) -> None:
+    assert rests(np.array(temp), 0.01) is is_resting

@@ -42,9 +42,6 @@ ROOT = Path(__file__).parents[3]
 # Whole models that are made of effects, in which a new one has no part.
 MODELS = {
     "edge/diagnosis/baselines.py": "the simple models of the literature that every twin has to beat",
-    "edge/diagnosis/choose.py": "grey boxes: a few whole structures",
-    "edge/diagnosis/fit.py": "grey boxes: a few whole structures",
-    "edge/diagnosis/gauge.py": "the twin that a grey box is",
     "edge/twin/new_file.py": "the first twin file of a box: loss, capacity and fan",
 }
 FEW = ("heater_lag", "heater_efficiency", "fan_effectiveness", "led_gain")  # beside the new one: fast

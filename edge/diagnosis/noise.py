@@ -1,7 +1,6 @@
-"""Recordings as grey boxes take them, whether one begins at rest, and what noise a reading has."""
+"""Whether a recording begins at rest, in which room, and what noise a reading has."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,28 +13,6 @@ STILL_ROWS = 4  # at the begin of a run, that tell whether it rests
 STILL_SHARE, COLD_SHARE = 0.01, 0.1  # of all that the air moves by: so still, so near its coldest
 SDS = 3.0
 RECURS = 3  # times, of a reading in steps
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GreyRun:
-    """One recording at equal steps.
-
-    temp : [N] air [°C], NaN where not measured; duty : [N] 0..1, each over the step that begins there
-    room : [N] [°C], or None; others : [N] each, heat in proportion to them: sun, light; fan : [N] 0..1
-    at_rest : it begins in balance with its room
-    """
-
-    temp: Floats
-    duty: Floats
-    room: Floats | None = None
-    others: tuple[Floats, ...] = ()
-    fan: Floats | None = None
-    at_rest: bool = False
-
-    @property
-    def first_c(self) -> float:
-        """Mean of the first three readings."""
-        return float(self.temp[np.isfinite(self.temp)][:3].mean())
 
 
 def rests(known: Floats, noise_k: float) -> bool:
