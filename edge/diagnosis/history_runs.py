@@ -9,7 +9,6 @@ from edge.diagnosis.runs import (
     PIECE_ROWS,
     DiagnosisRuns,
     diagnosis_runs,
-    has_column,
     measured_rows,
     pieces,
 )
@@ -30,16 +29,14 @@ def history_runs(
 
     rows_max : newest rows that are used, as memory and time grow with them; a note says from when on
 
-    A stretch of role test is never fitted on, wherever it lies. Runs are called history_1, history_2, ...; of
-    a stretch in which the room was not measured while others have it nothing is used.
+    A stretch of role test is never fitted on, wherever it lies. Runs are called history_1, history_2, ...
 
     Errors : DataError where nothing is left to fit on, also for a share that leaves nothing
     """
     if not 0.0 <= test_share < 1.0:
         raise DataError(f"--test-share: {test_share:g} is not in 0..1, 1 left out")
     parts = [piece for stretch in stretches for piece in pieces(stretch)]
-    usable = [part for part in parts if measured_rows(part) >= PIECE_ROWS]
-    chosen = _with_room(usable)
+    chosen = [part for part in parts if measured_rows(part) >= PIECE_ROWS]
     left_out = len(parts) - len(chosen)
     if not chosen:
         raise DataError(f"{source}: no stretch has {PIECE_ROWS} rows with a temperature")
@@ -55,9 +52,7 @@ def history_runs(
     train, test = _divide(chosen, test_share)
     named = [(f"history_{i + 1}", run) for i, run in enumerate([*train, *test])]
     if left_out:
-        notes.append(
-            f"{left_out} of {len(parts)} stretches of {source} are too short or lack the room temperature"
-        )
+        notes.append(f"{left_out} of {len(parts)} stretches of {source} are too short")
     if not train:
         raise DataError(f"{source}: only runs of role test, which are never fitted on")
     return diagnosis_runs(named[: len(train)], named[len(train) :], twin, notes)
@@ -72,11 +67,6 @@ def _newest(runs: Sequence[RecordedRun], rows_max: int) -> list[RecordedRun]:
         if _measured_from(run, len(run) - rows) >= PIECE_ROWS:
             found.insert(0, cut(run, len(run) - rows, len(run)))
     return found
-
-
-def _with_room(runs: Sequence[RecordedRun]) -> list[RecordedRun]:
-    known = [run for run in runs if has_column(run, "temp_ambient_c")]
-    return known or list(runs)
 
 
 def _divide(runs: Sequence[RecordedRun], test_share: float) -> tuple[list[RecordedRun], list[RecordedRun]]:
