@@ -1,6 +1,6 @@
 """The types of diagnosis.json, the machine's answer; `diagnosis_schema` makes its JSON schema from them.
 
-A later version may add keys: a reader passes over unknown ones.
+A reader passes over unknown keys: older versions had more, and a later one may add some.
 """
 
 from dataclasses import dataclass
@@ -18,13 +18,11 @@ class Meaning:
 
     minimum : of a number
     may_be_empty : for a text
-    is_open : further keys are allowed, and each known one may be missing
     """
 
     text: str
     minimum: float | None = None
     may_be_empty: bool = False
-    is_open: bool = False
 
 
 Kelvin = Annotated[float | None, Meaning("[K]", 0)]
@@ -79,18 +77,9 @@ class EffectEntry(TypedDict):
     ]
     equation: NotRequired[Annotated[str, Meaning("what it is, and its equation")]]
     without: NotRequired[Annotated[str, Meaning("what the residual looks like where it is missing")]]
-    at_bound: NotRequired[list[Annotated[str, Meaning("a parameter that ended at its physical bound")]]]
 
 
-class RegimeAfterEntry(TypedDict, total=False):
-    """The error of the new twin in the same condition, in older reports."""
-
-    rmse_after_k: Annotated[float | None, Meaning("free run after [K]", 0)]
-    heat_after_w: Annotated[float | None, Meaning("with the effects added [W]")]
-    heat_after_w_se: Annotated[float | None, Meaning("standard error [W]", 0)]
-
-
-class RegimeBeforeEntry(TypedDict):
+class RegimeEntry(TypedDict):
     """A condition of the greenhouse, and the error of the twin as given in it."""
 
     where: Annotated[str, Meaning("in words")]
@@ -107,10 +96,6 @@ class RegimeBeforeEntry(TypedDict):
     share_high: NotRequired[Annotated[float | None, Meaning("of the 95 % interval, 0..1", 0)]]
     share_of_rows: NotRequired[Share]
     rmse_k: NotRequired[Annotated[float | None, Meaning("free run before [K]", 0)]]
-
-
-class RegimeEntry(RegimeBeforeEntry, RegimeAfterEntry):
-    """A condition of the greenhouse, and the error of both twins in it."""
 
 
 class RunErrors(TypedDict):
@@ -153,19 +138,18 @@ class PredictionEntry(TypedDict):
 
     before: Temperatures
     after: Temperatures
-    one_step_after: NotRequired[
-        list[Annotated[float | None, Meaning("from the measurements up to the row before [°C]")]]
-    ]
 
 
 class NextExperiment(TypedDict):
-    """The part of a planned experiment that the report puts into words."""
+    """A planned experiment, in the words of the report."""
 
-    profile: Annotated[str, Meaning("file beside this one, for `greenhouse experiment`")]
     why: Sentence
     separates: list[Annotated[str, Meaning("an effect")]]
     duration_s: Annotated[float, Meaning("[s]", 0)]
     expected_log_odds: Annotated[float | None, Meaning("between the two that are hardest to separate [nat]")]
+    profile: NotRequired[Annotated[str, Meaning("file beside this one, for `greenhouse experiment`")]]
+    asks: NotRequired[list[Sentence]]
+    largest_temp_air_c: NotRequired[Annotated[float | None, Meaning("that any rival predicts [°C]")]]
 
 
 class WaterfallStep(TypedDict):
@@ -231,21 +215,6 @@ class EventEntry(TypedDict):
     heat_w: Annotated[float | None, Meaning("residual heat in it [W]")]
 
 
-class WhitenessEntry(TypedDict):
-    """Tests of a run's innovations."""
-
-    ljung_box_p: Annotated[float | None, Meaning("p-value of the Ljung-Box test: small where not white", 0)]
-    lag1_autocorrelation: Annotated[float | None, Meaning("-1..1")]
-    strongest_period_s: Annotated[float | None, Meaning("of the periodogram [s]", 0)]
-
-
-class InnovationsEntry(TypedDict):
-    """Whiteness by run, in older reports."""
-
-    before: dict[str, WhitenessEntry]
-    after: dict[str, WhitenessEntry]
-
-
 class RequiredAnswer(TypedDict):
     """The keys that every version of diagnosis.json has."""
 
@@ -259,8 +228,7 @@ class RequiredAnswer(TypedDict):
     gap: Annotated[GapEntry, Meaning("errors of free runs, before and after the effects are added")]
     predictions: Annotated[dict[str, PredictionEntry], Meaning("of test runs, by file name: a value a row")]
     next_experiment: Annotated[
-        NextExperiment | None,
-        Meaning("that separates rivals best; null where nothing is open", is_open=True),
+        NextExperiment | None, Meaning("that separates rivals best; null where nothing is open")
     ]
     seconds: Annotated[float, Meaning("time that the diagnosis took [s]", 0)]
 
@@ -287,10 +255,9 @@ class DiagnosisDocument(RequiredAnswer, total=False):
     formula: Annotated[FormulaEntry | None, Meaning("the best small formula of an unknown effect")]
     findings: Annotated[
         list[Sentence],
-        Meaning("limits of these runs, and data that were left out; in older reports also the regimes"),
+        Meaning("limits of these runs, and data that were left out"),
     ]
     events: list[EventEntry]
-    innovations: InnovationsEntry
     data_sha256: Annotated[str, Meaning("of the runs")]
     software: Annotated[str, Meaning("name and version")]
     command: Annotated[str, Meaning("as it was typed")]

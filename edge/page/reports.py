@@ -6,7 +6,6 @@ its diagnosis is read with a limit and checked against its schema before a word 
 
 import os
 import shlex
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +13,7 @@ from typing import Any, cast
 from edge.bundle.manifest import FILE_NAME as NAME
 from edge.core.errors import DataError
 from edge.core.plain_text import plain
-from edge.diagnosis.diagnosis_document import DiagnosisDocument, EffectEntry
+from edge.diagnosis.diagnosis_document import DiagnosisDocument, EffectEntry, NextExperiment
 from edge.diagnosis.diagnosis_file import FILE_NAME, check_diagnosis
 from edge.diagnosis.report import wording
 from edge.diagnosis.report.number_text import duration, kelvin, percent
@@ -53,7 +52,6 @@ def names(reports: Path) -> list[str]:
 def details(report: Path) -> Json:
     """Return what the page shows of one report. Errors: DataError"""
     document = _document(report)
-    experiment = cast("Mapping[str, Any]", document["next_experiment"] or {})
     return {
         **_summary(report, _change_utc(report)),
         "meaning": _lines([*wording.meaning(document), *wording.cautions(document)]),
@@ -62,7 +60,9 @@ def details(report: Path) -> Json:
         "effects": [_effect(effect) for effect in document["effects"]],
         "predicting": _lines(wording.predicting(document)),
         "against": _lines(document.get("against_adopting", [])),
-        "experiment": _experiment(report, experiment) if experiment else None,
+        "experiment": _experiment(report, experiment)
+        if (experiment := document["next_experiment"])
+        else None,
     }
 
 
@@ -145,19 +145,17 @@ def _effect(effect: EffectEntry) -> Json:
     return {"text": plain(text, TEXT_MAX), "evidence": _lines(evidence)}
 
 
-def _experiment(report: Path, experiment: Mapping[str, Any]) -> Json:
+def _experiment(report: Path, experiment: NextExperiment) -> Json:
     """Return the next experiment in words, and the commands that run it: the daemon has no order for it."""
-    asks = experiment.get("asks", [])
-    said = [experiment.get("why", ""), *(asks if isinstance(asks, list) else [])]
-    takes_s, profile = experiment.get("duration_s"), report / PROFILE
+    profile = report / PROFILE
     commands = [
         "sudo systemctl stop greenhouse",
         f"sudo -u greenhouse greenhouse experiment {shlex.quote(str(profile))} --out /tmp/next_run.csv",
         "sudo systemctl start greenhouse",
     ]
     return {
-        "why": _lines([text for text in said if isinstance(text, str) and text]),
-        "takes": "" if takes_s is None else duration(takes_s),
+        "why": _lines([experiment["why"], *experiment.get("asks", [])]),
+        "takes": duration(experiment["duration_s"]),
         "commands": commands if _is_plain(profile) else [],
     }
 

@@ -100,10 +100,9 @@ def common(traces: list[Trace]) -> dict[str, Any]:
             one.name: {
                 "before": one.before.tolist(),
                 "after": one.after.tolist(),
-                "one_step_after": [None, *one.measured[1:].tolist()],
             }
             for one in test
-            if one.before is not None and one.after is not None and one.measured is not None
+            if one.before is not None and one.after is not None
         },
         "seconds": 6.4,
         "data_sha256": "9f2c4b8e" * 8,
@@ -126,11 +125,6 @@ def candidate(name: str, gain: float | None, kept: bool = False, why: str = "") 
     return {
         "name": name, "gain_nats": gain, "bic": bic, "held_out_gain_nats": held_out, "kept": kept, "why": why
     }  # fmt: skip
-
-
-def whiteness(p: float, lag1: float, period_s: float | None) -> dict[str, Any]:
-    """Tests of one run."""
-    return {"ljung_box_p": p, "lag1_autocorrelation": lag1, "strongest_period_s": period_s}
 
 
 def named_story(test: bool = True) -> Story:
@@ -163,7 +157,6 @@ def named_story(test: bool = True) -> Story:
                 "parameters": {"tau_h": {"value": 418.2, "low": 402.5, "high": 434.9, "unit": "s"}},
                 "equation": "The element warms up before it heats: tau_h dP/dt = H - P.",
                 "without": "negative for minutes after the heater goes on, positive for as long after",
-                "at_bound": [],
             },
             {
                 "name": "fan_effectiveness",
@@ -174,7 +167,6 @@ def named_story(test: bool = True) -> Story:
                 "parameters": {"eps_f": {"value": 0.703, "low": 0.681, "high": 0.724, "unit": ""}},
                 "equation": "Share of the rated flow that changes air, against the filters: F -> eps_f F.",
                 "without": "positive with the fan on, in proportion to T - T_amb",
-                "at_bound": [],
             },
         ],
         "depends_on": [],
@@ -240,18 +232,6 @@ def named_story(test: bool = True) -> Story:
         "events": [
             {"run": "train_02.csv", "from_s": 4200.0, "to_s": 4380.0, "kind": "door", "heat_w": -61.0}
         ],
-        "innovations": {
-            "before": {
-                "train_01.csv": whiteness(1e-9, 0.62, 3600.0),
-                "train_02.csv": whiteness(3e-7, 0.58, 2900.0),
-                "train_03.csv": whiteness(2e-8, 0.6, None),
-            },
-            "after": {
-                "train_01.csv": whiteness(0.44, 0.03, 410.0),
-                "train_02.csv": whiteness(0.12, -0.06, 170.0),
-                "train_03.csv": whiteness(0.03, 0.11, None),
-            },
-        },
         "twin_after": "twin.yaml",
         "doubtful": [
             {"name": "soil_mass", "against": ["C_s would store 17 times the heat of the box full of water"]}

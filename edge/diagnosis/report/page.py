@@ -28,7 +28,6 @@ from edge.diagnosis.report.wording import (
     is_changed,
     meaning,
     new_twin,
-    notices,
     predicting,
     steps_text,
     where,
@@ -137,9 +136,9 @@ def _more(document: DiagnosisDocument, folder: str) -> Iterator[str]:
         yield from [command(line)] if line else []
     else:
         yield paragraph("No experiment is open.")
-    if told := notices(document):
+    if findings := document.get("findings"):
         yield paragraph("What these runs cannot tell, and what was left out of them:")
-        yield bullets(told)
+        yield bullets(findings)
 
 
 def _figures(figures: Figures, section: str) -> Iterator[str]:

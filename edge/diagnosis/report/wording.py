@@ -6,7 +6,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from edge.diagnosis.diagnosis_document import (
     FOUND,
@@ -14,6 +14,7 @@ from edge.diagnosis.diagnosis_document import (
     DiagnosisDocument,
     EffectEntry,
     FormulaEntry,
+    NextExperiment,
     ParameterEntry,
     RegimeEntry,
     Role,
@@ -36,7 +37,6 @@ NO_GAP = 1.05  # an error of so many noise floors or less is no gap, so no share
 CLEAR = 2.0  # standard errors from 0 from which on a heat has a direction
 NOTHING = "none"
 CLEARLY_LESS = 0.95  # times an error, for a model to be called better: less is no difference
-ERROR_SHARE = "squared error"  # in findings of older reports that repeat the regimes
 # What findings have in them that nobody may miss: where test runs go beyond, and a second set of values.
 CAUTIONS = ("in another regime", "Other values do as well")
 SIGNALS = {
@@ -242,11 +242,6 @@ def beaten(document: DiagnosisDocument) -> list[str]:
     return told
 
 
-def notices(document: DiagnosisDocument) -> list[str]:
-    """Return limits of these runs, and data that were left out."""
-    return [text for text in document.get("findings", []) if ERROR_SHARE not in text]
-
-
 def cautions(document: DiagnosisDocument) -> list[str]:
     """Return the cautions that a reader of the figures needs, a sentence each."""
     return [f"{text}." for text in document.get("findings", []) if any(key in text for key in CAUTIONS)]
@@ -258,16 +253,14 @@ def against_adopting(document: DiagnosisDocument) -> list[str]:
     return [f"Not to be adopted: {reason}" for reason in reasons]
 
 
-def experiment_lines(experiment: Mapping[str, Any], folder: str) -> tuple[list[str], str]:
+def experiment_lines(experiment: NextExperiment, folder: str) -> tuple[list[str], str]:
     """Return why and how the next experiment is run, and its command, "" without a profile."""
-    asks = experiment.get("asks")
-    told = [experiment.get("why"), *(asks if isinstance(asks, list) else [])]
-    if isinstance(hot := experiment.get("largest_temp_air_c"), int | float):
+    told = [experiment["why"], *experiment.get("asks", ())]
+    if (hot := experiment.get("largest_temp_air_c")) is not None:
         told.append(f"The air gets up to {number(hot)} °C.")
-    said = [text for text in told if isinstance(text, str) and text]
-    if not isinstance(profile := experiment.get("profile"), str):
-        return said, ""
-    return said, f"greenhouse experiment {shlex.quote(str(Path(folder) / profile))} --out next_run.csv"
+    if (profile := experiment.get("profile")) is None:
+        return told, ""
+    return told, f"greenhouse experiment {shlex.quote(str(Path(folder) / profile))} --out next_run.csv"
 
 
 def is_changed(document: DiagnosisDocument) -> bool:

@@ -38,7 +38,6 @@ from edge.diagnosis.report.wording import (
     headline,
     join_names,
     known_name,
-    notices,
     shrink,
     step_names,
     where,
@@ -189,11 +188,6 @@ def test_a_number_and_its_unit_stay_on_one_line() -> None:
 def test_a_sum_is_a_factor_inside_brackets(text: str, formula: str) -> None:
     found = _formula([Dependence(text, "W", ("temp_air",), 1.0, 2.0)])
     assert found is not None and found["text"] == formula
-
-
-def test_findings_of_older_reports_do_not_repeat_the_regimes() -> None:
-    document = {"findings": ["71 % of the squared error lies where the fan is off", "there is no test run"]}
-    assert notices(document) == document["findings"][1:]
 
 
 def test_an_unknown_effect_comes_with_its_dependence_and_formula(pages: dict[str, str]) -> None:

@@ -90,10 +90,11 @@ def test_the_contract_is_enough(document: dict[str, Any]) -> None:
     check_diagnosis({key: document[key] for key in ALWAYS})
 
 
-def test_an_older_report_is_a_diagnosis_too(document: dict[str, Any]) -> None:
-    assert {"innovations", "rounds"} <= set(document)
+def test_a_report_of_an_older_or_a_later_version_is_a_diagnosis_too(document: dict[str, Any]) -> None:
+    document |= {"innovations": {"before": {}, "after": {}}, "more": "of a later version"}
     document["regimes"][0] |= {"rmse_after_k": 0.1, "heat_after_w": -0.2, "heat_after_w_se": 0.1}
-    document["findings"] = ["71 % of the squared error lies in run_3.csv from 43 to 67 min"]
+    document["effects"][0]["at_bound"] = []
+    document["predictions"]["test_01.csv"]["one_step_after"] = None
     check_diagnosis(document)
     VALIDATOR.validate(document)
 
@@ -127,7 +128,6 @@ def test_what_is_not_finite_is_refused_and_nothing_is_written(
         (("effects", 0, "alternatives"), None),
         (("effects", 0, "log_odds"), "812"),
         (("effects", 0, "log_odds"), True),
-        (("effects", 0, "surprise"), 1.0),
         (("effects", 0, "parameters", "tau_h", "value"), None),
         (("depends_on",), "heater_duty"),
         (("regimes", 1, "share_of_squared_error"), -0.01),
@@ -156,7 +156,6 @@ def test_the_check_and_the_schema_refuse_alike(
         ("gap", "before", "test"),
         ("predictions", "test_01.csv", "after"),
         ("events", 0, "kind"),
-        ("innovations", "after", "train_01.csv", "ljung_box_p"),
     ],
 )
 def test_what_a_part_needs_may_not_be_missing(document: dict[str, Any], place: tuple[Any, ...]) -> None:
@@ -175,12 +174,6 @@ def test_what_json_does_not_know_is_refused_with_its_place(document: dict[str, A
         check_diagnosis(document)
 
 
-def test_a_key_is_text(document: dict[str, Any]) -> None:
-    document["next_experiment"][7] = 1.0
-    with pytest.raises(DataError, match=r"next_experiment\.7: a key that is no text"):
-        check_diagnosis(document)
-
-
 def test_the_verdict_agrees_with_the_effects(document: dict[str, Any]) -> None:
     with pytest.raises(DataError, match="the verdict is `nothing_missing`, but an effect is named"):
         check_diagnosis({**document, "verdict": "nothing_missing"})
@@ -190,5 +183,5 @@ def test_the_verdict_agrees_with_the_effects(document: dict[str, Any]) -> None:
 
 def test_predictions_of_a_run_have_one_length(document: dict[str, Any]) -> None:
     document["predictions"]["test_01.csv"]["after"].pop()
-    with pytest.raises(DataError, match=r"predictions.test_01.csv: not of one length"):
+    with pytest.raises(DataError, match=r"predictions.test_01.csv: before and after are not of one length"):
         check_diagnosis(document)

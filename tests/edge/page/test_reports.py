@@ -181,7 +181,6 @@ def test_a_link_in_a_report_leads_to_nothing_that_only_the_page_may_read(guest: 
         (document(verdict="no such"), "'no such' is none of named"),
         (document(gap={}), "gap.before: missing"),
         (document(effects=[]), "the verdict is `named`, but no effect is"),
-        (document(more="of a later version"), "more: not a key of a diagnosis"),
     ],
 )
 def test_a_diagnosis_that_is_none_is_listed_with_the_reason(
