@@ -3,8 +3,8 @@
 import inspect
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from edge.core.version import __version__
 from edge.diagnosis.depends import Dependence
 from edge.diagnosis.diagnose import Diagnosis, Side
 from edge.diagnosis.diagnosis_document import (
-    CandidateEntry,
     DiagnosisDocument,
     EffectEntry,
     FormulaEntry,
@@ -22,7 +21,6 @@ from edge.diagnosis.diagnosis_document import (
     NextExperiment,
     ParameterEntry,
     PredictionEntry,
-    RoundEntry,
     ValueEntry,
     WaterfallStep,
 )
@@ -30,8 +28,7 @@ from edge.diagnosis.gap import RunForecast, columns_of, errors, known_errors
 from edge.diagnosis.judge import MissingEffect, interval
 from edge.diagnosis.report.story import Trace
 from edge.diagnosis.runs import NamedRun
-from edge.diagnosis.twin_choice import OPEN, Names
-from edge.diagnosis.twin_fit import FittedTwin
+from edge.diagnosis.twin_choice import OPEN
 from edge.diagnosis.where import Location
 from edge.twin.effects.library import EFFECTS
 from edge.twin.value import SDS_95, Value
@@ -39,7 +36,6 @@ from edge.twin.value import SDS_95, Value
 DIGITS = 6
 INPUTS = ("heater_duty", "fan_on", "temp_ambient", "light", "solar", "rel_humidity", "door_open")
 _BRACKETS = re.compile(r"\([^()]*\)|\|[^|]*\|")
-T = TypeVar("T")
 Floats = NDArray[np.float64]
 
 
@@ -49,7 +45,7 @@ def answer(
     """Return the document, NaN and infinity as null."""
     document: DiagnosisDocument = {
         "verdict": found.verdict.kind,
-        "effects": [_effect(item, found) for item in found.verdict.effects],
+        "effects": [_effect(item) for item in found.verdict.effects],
         "depends_on": list(found.verdict.depends_on),
         "regimes": located.regimes,
         "gap": {
@@ -64,7 +60,6 @@ def answer(
         "next_experiment": experiment,
         "seconds": round(found.seconds, 2),
         "waterfall": [_step(names, side) for names, side in found.steps],
-        "rounds": [_round(beside, found) for beside in _path(found)],
         "formula": _formula(found.verdict.depends) if found.verdict.kind == "unknown" else None,
         "findings": [
             *found.data.notes,
@@ -89,19 +84,13 @@ def answer(
     return plain
 
 
-def _effect(item: MissingEffect, found: Diagnosis) -> EffectEntry:
+def _effect(item: MissingEffect) -> EffectEntry:
     effect = EFFECTS[item.name]
     return {
         "name": item.name,
         "alternatives": list(item.alternatives),
         "log_odds": item.log_odds,
         "probability": item.probability,
-        "left_out": {
-            "gain_nats": item.log_odds,
-            "with_k": item.evidence.with_k,
-            "without_k": item.evidence.without_k,
-            "noise_k": found.inputs.noise_k,
-        },
         "parameters": {
             parameter.name: _parameter(item.parameters[parameter.name], parameter.unit)
             for parameter in effect.parameters
@@ -169,7 +158,7 @@ def _formula(terms: Sequence[Dependence]) -> FormulaEntry | None:
     }
     # A sum is a factor only inside brackets.
     factor = f"({term.text})" if re.search(r" [+-] ", _BRACKETS.sub("", term.text)) else term.text
-    return {"text": f"Q = a {factor}", "terms": [term.text], "parameters": parameters}
+    return {"text": f"Q = a {factor}", "parameters": parameters}
 
 
 def _step(names: tuple[str, ...], side: Side) -> WaterfallStep:
@@ -179,67 +168,6 @@ def _step(names: tuple[str, ...], side: Side) -> WaterfallStep:
         "train_rmse_k": None if train is None else train["rmse_k"],
         "test_rmse_k": None if test is None else test["rmse_k"],
     }
-
-
-def _path(found: Diagnosis) -> list[Names]:
-    """Return the sets from the twin as given to the one that is handed over, name by name."""
-    names = [item.name for item in found.verdict.effects]
-    names += [name for name in found.verdict.provisional if name not in names]
-    return [frozenset(names[:count]) for count in range(len(names) + 1)]
-
-
-def _round(beside: Names, found: Diagnosis) -> RoundEntry:
-    """Return what was tried beside a set."""
-    base, final = found.choice.tried.get(beside), {item.name for item in found.verdict.effects}
-    if base is None:
-        return {"beside": _plain_names(beside), "candidates": []}
-    blocks, candidates = len(base.left_out), list[CandidateEntry]()
-
-    def add(name: str, fit: FittedTwin, gain: float, held_out: float | None, why: str) -> None:
-        values = len(fit.free) - len(base.fit.free)
-        candidates.append(
-            {
-                "name": name.removeprefix("~"),
-                "gain_nats": gain,
-                "bic": values * math.log(blocks) - 2.0 * gain,
-                "held_out_gain_nats": held_out,
-                "kept": name in final and held_out is not None,
-                "why": why,
-            }
-        )
-
-    for name, tried in _one_more(beside, found.choice.tried):
-        more, _ = base.behind(tried, found.inputs.noise_k)
-        gain = more * blocks
-        why = "in the final set" if name in final else _why_not(name, gain, found)
-        add(name, tried.fit, gain, gain, why)
-    for name, (fit, promised_k) in _one_more(beside, found.choice.screened):
-        if beside | {name} not in found.choice.tried:
-            gain = blocks * math.log(base.left_out_k / max(promised_k, 1e-9))
-            add(name, fit, gain, None, "a first look promised less than others")
-    return {"beside": _plain_names(beside), "candidates": candidates}
-
-
-def _plain_names(names: Names) -> list[str]:
-    return sorted(name.removeprefix("~") for name in names)
-
-
-def _one_more(beside: Names, sets: Mapping[Names, T]) -> Iterator[tuple[str, T]]:
-    """Yield what stands for a set and one more effect, with that effect."""
-    for key, item in sets.items():
-        if beside < key and len(key) == len(beside) + 1:
-            (name,) = key - beside
-            yield name, item
-
-
-def _why_not(name: str, gain: float, found: Diagnosis) -> str:
-    for effect in found.verdict.effects:
-        if name in effect.alternatives:
-            return f"can't be told from {effect.name}"
-    for doubtful in found.verdict.doubtful:
-        if name == doubtful.name:
-            return "; ".join(doubtful.against)
-    return "left-out rows are missed by no less" if gain <= 0.0 else "needless beside what was kept"
 
 
 def _prediction(found: Diagnosis, i: int) -> PredictionEntry:

@@ -17,12 +17,10 @@ class Meaning:
     """Describe a key for the schema.
 
     minimum : of a number
-    may_be_empty : for a text
     """
 
     text: str
     minimum: float | None = None
-    may_be_empty: bool = False
 
 
 Kelvin = Annotated[float | None, Meaning("[K]", 0)]
@@ -58,15 +56,6 @@ class EffectEntry(TypedDict):
     log_odds: Annotated[float | None, Meaning("natural logarithm, against the best model without it [nat]")]
     probability: NotRequired[
         Annotated[float | None, Meaning("that it, or one of its alternatives, is missing, 0..1", 0)]
-    ]
-    left_out: NotRequired[
-        Annotated[
-            dict[str, Annotated[float | None, Meaning("nats, or an RMSE of free runs [K]")]],
-            Meaning(
-                "what rows that no fit saw say of it: nats gained, all and errors that go together counted "
-                "once; errors with it, without it, and of a reading"
-            ),
-        ]
     ]
     parameters: dict[str, ParameterEntry]
     alternative_log_odds: NotRequired[
@@ -160,24 +149,6 @@ class WaterfallStep(TypedDict):
     test_rmse_k: Annotated[float | None, Meaning("free run [K]", 0)]
 
 
-class CandidateEntry(TypedDict):
-    """An effect that a round of the search tried."""
-
-    name: Annotated[str, Meaning("an effect, a pair `one + other`, or a formula")]
-    gain_nats: Annotated[float | None, Meaning("log likelihood over the model of the round [nat]")]
-    bic: Annotated[float | None, Meaning("Bayesian information criterion, the smaller the better")]
-    held_out_gain_nats: Annotated[float | None, Meaning("on runs left out of the fit [nat]")]
-    kept: bool
-    why: Annotated[str, Meaning("kept, or why not", may_be_empty=True)]
-
-
-class RoundEntry(TypedDict):
-    """A round of the search."""
-
-    beside: list[Annotated[str, Meaning("an effect in the model")]]
-    candidates: list[CandidateEntry]
-
-
 FOUND = "when it was open was found in the runs, not recorded"  # against an effect that is an event
 
 
@@ -201,7 +172,6 @@ class FormulaEntry(TypedDict):
     """A formula for an effect that the library does not have."""
 
     text: Annotated[str, Meaning("`Q = a u^2`, a heat flow into the air [W]")]
-    terms: list[Annotated[str, Meaning("a term")]]
     parameters: dict[str, ParameterEntry]
 
 
@@ -237,7 +207,6 @@ class DiagnosisDocument(RequiredAnswer, total=False):
     """diagnosis.json: the answer, its evidence and its origin."""
 
     waterfall: Annotated[list[WaterfallStep], Meaning("the gap after each step; first the twin as given")]
-    rounds: Annotated[list[RoundEntry], Meaning("the search, round by round")]
     doubtful: Annotated[list[DoubtfulEntry], Meaning("effects that the search found and that do not stand")]
     provisional: Annotated[
         list[Annotated[str, Meaning("an effect")]],

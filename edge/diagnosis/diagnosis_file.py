@@ -71,7 +71,7 @@ def _object(kind: Any) -> Schema:
 
 def _describe(found: Schema, meaning: Meaning) -> Schema:
     if found["type"] == "string" or found["type"] == ["string", "null"]:
-        found = found if meaning.may_be_empty else {**found, "minLength": 1}
+        found = {**found, "minLength": 1}
     found = {**found, "description": meaning.text}
     return found if meaning.minimum is None else {**found, "minimum": meaning.minimum}
 

@@ -118,15 +118,6 @@ def regime(where: str, share: float, heat_w: float | None, se: float | None) -> 
     return {"where": where, "share_of_squared_error": share, "heat_w": heat_w, "heat_w_se": se}
 
 
-def candidate(name: str, gain: float | None, kept: bool = False, why: str = "") -> dict[str, Any]:
-    """A row of a round."""
-    bic = None if gain is None else 4100.0 - 2.0 * gain
-    held_out = None if gain is None else 0.3 * gain - 1.0
-    return {
-        "name": name, "gain_nats": gain, "bic": bic, "held_out_gain_nats": held_out, "kept": kept, "why": why
-    }  # fmt: skip
-
-
 def named_story(test: bool = True) -> Story:
     """Heater lag, then a fan that gives less than it should, which may be a short circuit as well."""
     names = [("train_01.csv", "train"), ("train_02.csv", "train"), ("train_03.csv", "train")]
@@ -189,39 +180,6 @@ def named_story(test: bool = True) -> Story:
             {"effects": list(effects), "train_rmse_k": train, "test_rmse_k": held_out if test else None}
             for effects, train, held_out in steps
         ],
-        "rounds": [
-            {
-                "beside": [],
-                "candidates": [
-                    candidate("heater_lag", 812.4, True, "kept"),
-                    candidate("soil_mass", 388.0, False, "less than heater_lag, and nothing beside it"),
-                    candidate("sensor_lag", 301.7, False, "less than heater_lag"),
-                    candidate("wall_mass", 214.1, False, "less than heater_lag"),
-                    candidate("extra_capacity", 121.3, False, "less than heater_lag"),
-                    candidate("fan_effectiveness", 58.9, False, "less than heater_lag"),
-                    candidate("heater_deadtime", 12.6, False, "less than heater_lag"),
-                    candidate("constant_heat", 0.3, False, "chance: p 0.44"),
-                    candidate("led_gain", None, False, "the runs have no column light"),
-                ],
-            },
-            {
-                "beside": ["heater_lag"],
-                "candidates": [
-                    candidate("fan_effectiveness", 96.7, True, "kept, with short_circuit as its alternative"),
-                    candidate("short_circuit", 96.7, False, "the same as fan_effectiveness"),
-                    candidate("wall_loss", 8.1, False, "loses 4.0 nat on runs left out"),
-                    candidate("soil_mass", 0.0, False, "at its bound"),
-                ],
-            },
-            {
-                "beside": ["heater_lag", "fan_effectiveness"],
-                "candidates": [
-                    candidate("soil_mass", 1.9, False, "chance: p 0.31 after 25 tries"),
-                    candidate("wall_loss", 0.8, False, "chance: p 0.9 after 25 tries"),
-                    candidate("infiltration", -0.1, False, "no gain"),
-                ],
-            },
-        ],
         "formula": None,
         "findings": [
             "58 % of the squared error lies within 15 min of a change of the duty; there the model gains"
@@ -261,15 +219,6 @@ def nothing_story() -> Story:
         "regimes": [regime("the fan is on", 0.31, 0.2, 0.3)],
         **common(traces),
         "next_experiment": None,
-        "rounds": [
-            {
-                "beside": [],
-                "candidates": [
-                    candidate("soil_mass", 2.2, False, "chance: p 0.25 after 25 tries"),
-                    candidate("constant_heat", 0.4, False, "chance: p 0.9 after 25 tries"),
-                ],
-            }
-        ],
         "twin_after": None,
     }
     return Story(document, (*traces, untold))
@@ -281,7 +230,6 @@ def unknown_story() -> Story:
     traces = [trace(name, role, sagging, prompt, prompt, n + 4) for n, (name, role) in enumerate(names)]
     formula: Mapping[str, Any] = {
         "text": "Q = a u^2",
-        "terms": ["u^2"],
         "parameters": {"a": {"value": -21.6, "low": -23.1, "high": -20.2, "unit": "W"}},
     }
     document = {
@@ -300,15 +248,6 @@ def unknown_story() -> Story:
             "duration_s": 10800.0,
             "expected_log_odds": None,
         },
-        "rounds": [
-            {
-                "beside": [],
-                "candidates": [
-                    candidate("heater_efficiency", 141.0, False, "what remains is structured: p 1e-9"),
-                    candidate("longwave_radiation", 88.0, False, "less than heater_efficiency"),
-                ],
-            }
-        ],
         "formula": formula,
         "twin_after": None,
     }

@@ -131,7 +131,7 @@ def test_what_is_not_finite_is_refused_and_nothing_is_written(
         (("effects", 0, "parameters", "tau_h", "value"), None),
         (("depends_on",), "heater_duty"),
         (("regimes", 1, "share_of_squared_error"), -0.01),
-        (("rounds", 0, "candidates", 0, "kept"), 1),
+        (("events", 0, "kind"), 1),
         (("gap", "noise_floor"), 0.1),
         (("waterfall", 0, "train_rmse_k"), -1.0),
         (("formula",), "Q = a u^2"),

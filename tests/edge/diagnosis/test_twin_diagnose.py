@@ -16,7 +16,6 @@ from edge.__main__ import main
 from edge.diagnosis.diagnosis_file import check_diagnosis, schema
 from edge.formats.run_file import RecordedRun, absence_facts, data_sha256, write_run
 from edge.models.pbm import read_twin
-from edge.twin.effects.library import USUAL_EFFECTS
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 from tests.support.simulated_runs import BOX, Effects, Heat, candidates_only, change_run, simulate, twin_file
 
@@ -203,15 +202,6 @@ def test_the_new_twin_is_one_that_predicts(named: CommandOutput) -> None:
     controls[..., 0] = 0.5
     warmed = pbm.rollout(history, controls, {"temp_ambient": np.full(30, 22.0)})
     assert warmed[0, -1] == pytest.approx(22.0 + 50.0 / 4.0, abs=1.0)  # 50 W over 4 W/K, nearly settled
-
-
-def test_every_effect_was_tried_and_the_rounds_say_why_not(named: CommandOutput) -> None:
-    rounds = named.document["rounds"]
-    tried = {candidate["name"]: candidate for candidate in rounds[0]["candidates"]}
-    needing = {"evapotranspiration", "door_opening", "solar_gain"}  # no humidity, no door, no sun
-    assert set(USUAL_EFFECTS) - set(BOX) - needing <= set(tried)
-    assert tried["heater_lag"]["kept"]
-    assert all(candidate["why"] for candidate in tried.values())
 
 
 def test_nothing_is_said_to_be_missing_where_nothing_is(diagnose: Command, tmp_path: Path) -> None:
