@@ -31,7 +31,6 @@ class PlannedExperiment:
     kind : of experiment, in words
     separates : groups of effects that it tells apart
     expected_log_odds : of the true one over the one that is hardest to tell from it [nat]
-    between : the same of each pair, `true over other`
     inseparable : groups of effects that say the same whatever heater and fan do
     weak : pairs of which it tells too little
     calibration : a value that would settle it if it were exactly known, and the log odds then [nat]
@@ -43,7 +42,6 @@ class PlannedExperiment:
     separates: tuple[Names, ...] = ()
     expected_log_odds: float | None = None
     largest_temp_air_c: float | None = None
-    between: Mapping[str, float] = field(default_factory=dict)
     inseparable: tuple[Names, ...] = ()
     weak: tuple[Names, ...] = ()
     calibration: tuple[Place, float] | None = None
@@ -110,20 +108,15 @@ def design_experiment(plan: Separation, limits: ExperimentLimits) -> PlannedExpe
     worth = np.einsum("pw,pwb->b", weights / weights.sum(), np.log1p(log_odds))
     worth -= SECOND * tried.row_s * tried.within.sum(axis=1)
     best = int(np.where(settled.sum(axis=0) == settled.sum(axis=0).max(), worth, -np.inf).argmax())
-    chosen, ways, settled = tried.choose(np.array([best])), log_odds[:, :, best], settled[:, best]
+    chosen, settled = tried.choose(np.array([best])), settled[:, best]
     apart = settled if settled.any() else telling
-    expected = float(ways[apart].min())
+    expected = float(log_odds[apart, :, best].min())
     return PlannedExperiment(
         profile=_profile(chosen, plan.around.has_light),
         kind=chosen.kinds[0],
         separates=_groups(_names(pairs, apart)),
         expected_log_odds=expected,
         largest_temp_air_c=float(plan.predicted_c(chosen).max()),
-        between={
-            f"{true} over {other}": float(value)
-            for pair, own in zip(pairs, ways, strict=True)
-            for (true, other), value in zip((pair.names, pair.names[::-1]), own, strict=True)
-        },
         inseparable=groups,
         weak=_names(pairs, ~(settled | same | apart)),
         calibration=_calibration(plan, apart, expected),

@@ -157,7 +157,7 @@ def test_what_is_expected_is_what_simulated_runs_then_give(leak_plan):
             for given in (runs, together)
         )
         gains.append((after[1] - after[0]) - (before[1] - before[0]))
-    expected = found.between["infiltration over wall_loss"]
+    expected = found.expected_log_odds
     assert 2.0 < expected < 60.0  # else the comparison would say little
     assert 0.5 * expected < np.mean(gains) < 2.0 * expected
 
@@ -189,11 +189,14 @@ def test_a_value_that_would_settle_it_is_named_with_the_way_to_calibrate_it(leak
     runs = driven({**known, "wall_loss": {"UA": 1.2}}, blown)
     plan = plan_of(file_of(known, {"fan_effectiveness": 0.05}), runs, ("wall_loss", "infiltration"))
     sure = tuple(replace(model, covariance=0.01 * model.covariance) for model in plan.models)
-    document = experiment_document(design_experiment(replace(plan, models=sure), ExperimentLimits()))
-    assert document["calibrate_first"]["value"] == "fan_effectiveness.eps_f"
-    assert document["calibrate_first"]["expected_log_odds"] > 10.0
+    found = design_experiment(replace(plan, models=sure), ExperimentLimits())
+    document = experiment_document(found)
+    assert found.calibration is not None
+    place, log_odds = found.calibration
+    assert place == ("effects", "fan_effectiveness", "eps_f")
+    assert log_odds > 10.0
     assert "Calibrating fan_effectiveness.eps_f first (a calibration of the fan's flow" in document["why"]
-    assert "calibrate_first" not in experiment_document(design_experiment(leak_plan, ExperimentLimits()))
+    assert design_experiment(leak_plan, ExperimentLimits()).calibration is None
 
 
 DRAWS = 8
