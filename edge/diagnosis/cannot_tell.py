@@ -120,7 +120,8 @@ def _room(runs: Sequence[RecordedRun]) -> Iterable[str]:
             f"the room stayed within {np.ptp(together):.1f} K: {_names(BlindRuns.ROOM_STEADY)} "
             f"look much the same, and so do {_names(BlindRuns.ROOM_STEADY_BODIES)}"
         )
-    excess = [run.columns["temp_air_c"] - run.columns["temp_ambient_c"] for run in runs if _has_room(run)]
+    measured = [run.columns for run in runs if "temp_ambient_c" in run.columns]
+    excess = [columns["temp_air_c"] - columns["temp_ambient_c"] for columns in measured]
     highest = np.nanmax(np.abs(np.concatenate(excess)), initial=0.0)
     if highest < SMALL_EXCESS_K:
         yield f"the air was never more than {highest:.1f} K from the room: losses can hardly be told"
@@ -166,7 +167,3 @@ def _moves(runs: Sequence[RecordedRun], key: str) -> bool:
 def _known_values(run: RecordedRun, key: str) -> Floats:
     values = run.columns.get(key, np.empty(0))
     return values[np.isfinite(values)]
-
-
-def _has_room(run: RecordedRun) -> bool:
-    return "temp_ambient_c" in run.columns

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from edge.core.errors import DataError
 from edge.diagnosis.runs import (
     PIECE_ROWS,
@@ -64,8 +62,8 @@ def _newest(runs: Sequence[RecordedRun], rows_max: int) -> list[RecordedRun]:
     for run in reversed(runs):
         rows = min(len(run), rows_max)
         rows_max -= rows
-        if _measured_from(run, len(run) - rows) >= PIECE_ROWS:
-            found.insert(0, cut(run, len(run) - rows, len(run)))
+        if rows and measured_rows(part := cut(run, len(run) - rows, len(run))) >= PIECE_ROWS:
+            found.insert(0, part)
     return found
 
 
@@ -80,14 +78,10 @@ def _divide(runs: Sequence[RecordedRun], test_share: float) -> tuple[list[Record
         left -= rows
         if rows:
             train.append(cut(run, 0, rows))
-        if _measured_from(run, rows) >= PIECE_ROWS:
-            test.append(cut(run, rows, len(run)))
+        if rows < len(run) and measured_rows(part := cut(run, rows, len(run))) >= PIECE_ROWS:
+            test.append(part)
     return train, test
 
 
 def _is_test(run: RecordedRun) -> bool:
     return run.facts.get("role", "").strip().lower() == "test"
-
-
-def _measured_from(run: RecordedRun, row: int) -> int:
-    return int(np.isfinite(run.columns["temp_air_c"][row:]).sum())
