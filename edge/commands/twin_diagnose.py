@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     from edge.diagnosis.answer import answer, traces
     from edge.diagnosis.diagnose import diagnose
     from edge.diagnosis.diagnosis_file import write_json
-    from edge.diagnosis.experiment.document import experiment_document, write_profile
+    from edge.diagnosis.experiment.document import write_profile
     from edge.diagnosis.experiment.plan import next_experiment
     from edge.diagnosis.report.page import PAGE_NAME, write_report
     from edge.diagnosis.report.story import Story
@@ -122,9 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
         places = locate(found)
         progress("the next experiment", 0.97)
         experiment = next_experiment(found, limits)
-        document = answer(
-            found, places, command, None if experiment is None else experiment_document(experiment)
-        )
+        document = answer(found, places, command, experiment)
         with writing(arguments.out):
             write_twin_file(file, arguments.out / "twin_before.yaml")
             if found.is_offered:

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from edge.core.version import __version__
 from edge.twin.effects.library import EFFECTS, check_names
 from edge.twin.twin_file import Place, TwinFile
@@ -81,13 +83,13 @@ def _provenance(file: TwinFile, added: Sequence[AddedEffect], origin: Origin) ->
             for effect in added
         },
         "data_sha256": origin.data_sha256,
-        "before": _numbers(origin.before),
-        "after": _numbers(origin.after),
+        "before": plain_numbers(origin.before),
+        "after": plain_numbers(origin.after),
         "twin_before_sha256": file.twin().sha256,
         "software": f"greenhouse-twin {__version__}",
         "created_utc": origin.created_utc,
         "command": origin.command,
-        **_numbers(origin.further),
+        **plain_numbers(origin.further),
     }
 
 
@@ -112,12 +114,16 @@ def round_value(value: float) -> float:
     return float(f"{float(value):.{DIGITS}g}")
 
 
-def _numbers(document: Any) -> Any:
-    """Return the document with plain numbers in place of NumPy's."""
+def plain_numbers(document: Any) -> Any:
+    """Return the document with plain numbers in place of NumPy's; None for what is not finite."""
     if isinstance(document, Mapping):
-        return {str(key): _numbers(item) for key, item in document.items()}
+        return {str(key): plain_numbers(item) for key, item in document.items()}
     if isinstance(document, list | tuple):
-        return [_numbers(item) for item in document]
-    if isinstance(document, bool | str | int) or document is None:
-        return document
-    return round_value(document)
+        return [plain_numbers(item) for item in document]
+    if isinstance(document, bool | np.bool_):
+        return bool(document)
+    if isinstance(document, int | np.integer):
+        return int(document)
+    if isinstance(document, float | np.floating):
+        return round_value(float(document)) if np.isfinite(document) else None
+    return document

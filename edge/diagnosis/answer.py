@@ -1,16 +1,14 @@
 """diagnosis.json and the series of its report, from a diagnosis."""
 
 import inspect
-import math
 import re
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.errors import DataError
 from edge.core.version import __version__
+from edge.diagnosis.adopted_twin import plain_numbers
 from edge.diagnosis.depends import Dependence
 from edge.diagnosis.diagnose import Diagnosis, Side
 from edge.diagnosis.diagnosis_document import (
@@ -18,12 +16,13 @@ from edge.diagnosis.diagnosis_document import (
     EffectEntry,
     FormulaEntry,
     LeftOutErrors,
-    NextExperiment,
     ParameterEntry,
     PredictionEntry,
     ValueEntry,
     WaterfallStep,
 )
+from edge.diagnosis.experiment.document import experiment_document
+from edge.diagnosis.experiment.plan import PlannedExperiment
 from edge.diagnosis.gap import RunForecast, columns_of, errors, known_errors
 from edge.diagnosis.judge import MissingEffect, interval
 from edge.diagnosis.report.story import Trace
@@ -33,14 +32,13 @@ from edge.diagnosis.where import Location
 from edge.twin.effects.library import EFFECTS
 from edge.twin.value import SDS_95, Value
 
-DIGITS = 6
 INPUTS = ("heater_duty", "fan_on", "temp_ambient", "light", "solar", "rel_humidity", "door_open")
 _BRACKETS = re.compile(r"\([^()]*\)|\|[^|]*\|")
 Floats = NDArray[np.float64]
 
 
 def answer(
-    found: Diagnosis, located: Location, command: str, experiment: NextExperiment | None
+    found: Diagnosis, located: Location, command: str, experiment: PlannedExperiment | None
 ) -> DiagnosisDocument:
     """Return the document, NaN and infinity as null."""
     document: DiagnosisDocument = {
@@ -57,7 +55,7 @@ def answer(
             },
         },
         "predictions": {named.name: _prediction(found, i) for i, named in enumerate(found.data.test)},
-        "next_experiment": experiment,
+        "next_experiment": None if experiment is None else experiment_document(experiment),
         "seconds": round(found.seconds, 2),
         "waterfall": [_step(names, side) for names, side in found.steps],
         "formula": _formula(found.verdict.depends) if found.verdict.kind == "unknown" else None,
@@ -80,7 +78,7 @@ def answer(
         "against_adopting": list(found.against_adopting),
     }
     # JSON has no NaN: what is not known is null, for every reader.
-    plain: DiagnosisDocument = _plain(document)
+    plain: DiagnosisDocument = plain_numbers(document)
     return plain
 
 
@@ -211,20 +209,3 @@ def _at_rows(innovations: Floats, temp_air: Floats) -> Floats:
     count = min(len(innovations), len(temp_air) - first)
     filled[first : first + count] = innovations[:count]
     return filled
-
-
-def _plain(value: Any) -> Any:
-    """As JSON knows it: no NumPy, no number that is none."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(f"{float(value):.{DIGITS}g}") if math.isfinite(value) else None
-    if value is not None and not isinstance(value, str):
-        raise DataError(f"diagnosis: {type(value).__name__} is no value of a document")
-    return value

@@ -21,7 +21,6 @@ from edge.diagnosis import diagnose as workflow
 from edge.diagnosis.answer import answer, traces
 from edge.diagnosis.diagnose import Diagnosis
 from edge.diagnosis.diagnosis_document import DiagnosisDocument
-from edge.diagnosis.experiment.document import experiment_document
 from edge.diagnosis.experiment.plan import next_experiment
 from edge.diagnosis.experiment.sequence import ExperimentLimits
 from edge.diagnosis.gap import predict
@@ -164,23 +163,17 @@ def diagnose(
     data = diagnosis_runs(
         [(run.name, _complete(run)) for run in runs], [(run.name, _complete(run)) for run in tests], twin.file
     )
-    found = workflow.diagnose(twin.file, data, progress or _silent, "edge.diagnose")
+    found = workflow.diagnose(twin.file, data, progress or (lambda text, share: None), "edge.diagnose")
     places = locate(found)
     experiment = next_experiment(found, ExperimentLimits(heater_w=twin.file.geometry["heater_max_w"].value))
-    planned = None if experiment is None else experiment_document(experiment)
-    document = answer(found, places, "edge.diagnose", planned)
-    return DiagnosisResult(document, found, places)
+    return DiagnosisResult(answer(found, places, "edge.diagnose", experiment), found, places)
 
 
 def _complete(run: Run) -> run_file.RecordedRun:
-    """With facts that say what was not recorded; without readings that no sensor can have."""
+    """Return the recording with facts that say what was not recorded. Errors: DataError"""
     if missing := [key for key in NEEDED if key not in run.content.columns]:
         raise DataError(f"{run.name}: {missing[0]}: missing")
     return absence_facts(run.content)
-
-
-def _silent(_: str, __: float) -> None:
-    """Nothing is told."""
 
 
 def _table(heads: tuple[str, ...], rows: Sequence[Sequence[str]]) -> str:
