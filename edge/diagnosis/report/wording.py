@@ -5,6 +5,7 @@ import re
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -309,13 +310,10 @@ def formula_text(formula: FormulaEntry) -> str:
 
 
 def step_names(waterfall: Sequence[WaterfallStep]) -> list[str]:
-    """Return the change of each step of the waterfall: `the twin as given`, `+ heater_lag`, `- wall_loss`."""
-    names = []
-    for step, last in zip(waterfall, [None, *waterfall[:-1]], strict=True):
-        had = last["effects"] if last is not None else []
-        added = [f"+ {name}" for name in step["effects"] if name not in had]
-        removed = [f"− {name}" for name in had if name not in step["effects"]]
-        names.append(", ".join(added + removed) or ("the twin as given" if last is None else "fitted anew"))
+    """Return the change of each step of the waterfall: `the twin as given`, `+ heater_lag`."""
+    names = ["the twin as given"]
+    for last, step in pairwise(waterfall):
+        names.append(", ".join(f"+ {name}" for name in step["effects"] if name not in last["effects"]))
     return names
 
 
