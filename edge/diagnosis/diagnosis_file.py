@@ -31,11 +31,6 @@ def schema() -> Schema:
     }
 
 
-def document() -> str:
-    """Return the schema as the file in this folder has it."""
-    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
-
-
 def _schema_of(kind: Any) -> Schema:
     """Return the schema of a type. Errors: TypeError for one that diagnosis.json does not use"""
     origin, parts = get_origin(kind), get_args(kind)
@@ -162,4 +157,4 @@ def _wrong(place: str, problem: str) -> DataError:
 
 
 if __name__ == "__main__":
-    print(document(), end="")
+    print(json.dumps(schema(), indent=2, ensure_ascii=False))

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from pathlib import Path
 
-from edge.diagnosis.diagnosis_document import WHENS, DiagnosisDocument, Role
+from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.diagnosis_file import FILE_NAME, write_json
 from edge.diagnosis.report.markup import STYLE, TableColumn, bullets, command, fold, paragraph, table
 from edge.diagnosis.report.number_text import duration, kelvin
@@ -29,6 +29,7 @@ from edge.diagnosis.report.wording import (
     meaning,
     new_twin,
     predicting,
+    run_errors,
     steps_text,
     where,
 )
@@ -110,7 +111,11 @@ def _changes(document: DiagnosisDocument, figures: Figures, folder: str) -> Iter
     if not figures.get("gap") and (steps := steps_text(document)):
         yield paragraph(f"Step by step, {steps}.")
     yield from map(paragraph, (*cautions(document), *predicting(document)))
-    runs = [row for role in ROLES for row in _runs(document, role)]
+    runs = [
+        (name, words, *map(kelvin, errors))
+        for role, words in ROLES.items()
+        for name, errors in run_errors(document, role).items()
+    ]
     heads = (TableColumn("run", words=True), TableColumn("", words=True), *map(TableColumn, GAP_HEADS[:2]))
     yield from fold(f"Run by run, RMSE in K ({len(runs)} runs)", table(heads, runs))
     yield from map(paragraph, against_adopting(document))
@@ -120,13 +125,6 @@ def _changes(document: DiagnosisDocument, figures: Figures, folder: str) -> Iter
             " before; the second command takes it back."
         )
         yield command(f"greenhouse twin adopt {shlex.quote(folder)}\ngreenhouse twin adopt --back")
-
-
-def _runs(document: DiagnosisDocument, role: Role) -> Iterator[tuple[str, ...]]:
-    before, after = (side["per_run"] if (side := document["gap"][when][role]) else {} for when in WHENS)
-    for name, errors in before.items():
-        later = after[name]["rmse_k"] if name in after else None
-        yield name, ROLES[role], kelvin(errors["rmse_k"]), kelvin(later)
 
 
 def _more(document: DiagnosisDocument, folder: str) -> Iterator[str]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from edge.diagnosis.diagnosis_document import WHENS, DiagnosisDocument, Role
+from edge.diagnosis.diagnosis_document import DiagnosisDocument
 from edge.diagnosis.report.number_text import kelvin
 from edge.diagnosis.report.picture import (
     AFTER,
@@ -21,7 +21,15 @@ from edge.diagnosis.report.picture import (
 from edge.diagnosis.report.residual_plots import residual_plots
 from edge.diagnosis.report.run_picture import run_picture
 from edge.diagnosis.report.story import Story, Trace
-from edge.diagnosis.report.wording import ROLES, is_changed, scored_role, step_k, step_names, steps_text
+from edge.diagnosis.report.wording import (
+    ROLES,
+    is_changed,
+    run_errors,
+    scored_role,
+    step_k,
+    step_names,
+    steps_text,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,9 +109,10 @@ def pictures(story: Story) -> Mapping[str, tuple[Picture, ...]] | None:
         return None
     story = replace(story, traces=tuple(one for one in story.traces if len(one.time_s) >= LEAST_ROWS))
     shown, adds = shown_run(story), is_changed(story.document)
+    errors = {} if shown is None else run_errors(story.document, shown.role)
     gap = gap_picture(story.document)
     return {
-        "run": () if shown is None else (run_picture(shown, _errors(story.document, shown), adds),),
+        "run": () if shown is None else (run_picture(shown, errors.get(shown.name, (None, None)), adds),),
         "residual": tuple(residual_plots(story.traces)),
         "gap": () if gap is None else (gap,),
     }
@@ -115,12 +124,3 @@ def shown_run(story: Story) -> Trace | None:
     return max(
         known, key=lambda one: (one.scored and one.role == "test", one.scored, one.rmse_k()), default=None
     )
-
-
-def _errors(document: DiagnosisDocument, trace: Trace) -> tuple[float | None, float | None]:
-    """RMSE before and after, as the diagnosis has them [K]."""
-    role: Role = "test" if trace.role == "test" else "train"
-    gaps = [document["gap"][when][role] for when in WHENS]
-    runs = [gap["per_run"] if gap else {} for gap in gaps]
-    before, after = (found[trace.name]["rmse_k"] if trace.name in found else None for found in runs)
-    return before, after

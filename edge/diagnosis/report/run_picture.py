@@ -150,16 +150,14 @@ def _finite(*series: Floats | None) -> Floats:
 
 
 def _caption(trace: Trace, errors: Sequence[float | None], adds: bool) -> str:
+    free = "Free runs: the twin is given the inputs and the first rows, and no other temperature."
     before, after = errors
-    if before is None and trace.scored:
-        return "Free runs: the twin is given the inputs and the first rows, and no other temperature."
-    if before is None:
+    if before is None and not trace.scored:
         return (
             "Free runs from the first rows. Later temperatures were not given, so there is no error to tell."
         )
+    if before is None:
+        return free
     if not adds or after is None:
         return f"A free run from the first rows. RMSE {kelvin(before)} K."
-    return (
-        "Free runs: the twin is given the inputs and the first rows, and no other temperature."
-        f" RMSE {kelvin(before)} K before, {kelvin(after)} K after."
-    )
+    return f"{free} RMSE {kelvin(before)} K before, {kelvin(after)} K after."

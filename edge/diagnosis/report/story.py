@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.errors import DataError
-from edge.diagnosis.diagnosis_document import DiagnosisDocument
+from edge.diagnosis.diagnosis_document import DiagnosisDocument, Role
 
 Floats = NDArray[np.float64]
 SERIES = ("measured", "before", "after", "innovations")
@@ -22,11 +21,10 @@ class Trace:
     innovations : measured minus predicted from the row before by the twin as given, in standard deviations
     inputs : by signal, held from a row to the next: `heater_duty`, `fan_on`, `temp_ambient`, `light`, ...
     What is infinite becomes NaN, and a series of nothing but NaN None (an input is left out).
-    Errors : DataError where an array is of another length
     """
 
     name: str
-    role: str
+    role: Role
     time_s: Floats
     measured: Floats | None = None
     before: Floats | None = None
@@ -36,18 +34,9 @@ class Trace:
 
     def __post_init__(self) -> None:
         for key in SERIES:
-            object.__setattr__(self, key, self._series(key, getattr(self, key)))
-        known = {key: self._series(key, values) for key, values in self.inputs.items()}
+            object.__setattr__(self, key, _finite(getattr(self, key)))
+        known = {key: _finite(values) for key, values in self.inputs.items()}
         object.__setattr__(self, "inputs", {key: one for key, one in known.items() if one is not None})
-
-    def _series(self, key: str, values: Floats | None) -> Floats | None:
-        if values is None:
-            return None
-        if np.shape(values) != np.shape(self.time_s):
-            shapes = f"shape {np.shape(values)} for times of shape {np.shape(self.time_s)}"
-            raise DataError(f"report: {self.name}: {key}: {shapes}")
-        known = np.isfinite(values)
-        return np.where(known, values, np.nan) if known.any() else None
 
     def residual(self, when: str) -> Floats | None:
         """Measured minus the free run `before` or `after` [K], NaN where not known; None without one."""
@@ -66,6 +55,12 @@ class Trace:
     def scored(self) -> bool:
         """True if there are measurements beyond the first rows of a forecast."""
         return self.measured is not None and bool(np.isfinite(self.measured).mean() > 0.5)
+
+
+def _finite(values: Floats | None) -> Floats | None:
+    if values is None or not (known := np.isfinite(values)).any():
+        return None
+    return np.where(known, values, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

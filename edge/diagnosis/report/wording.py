@@ -286,6 +286,15 @@ def rmse_k(document: DiagnosisDocument, when: When, role: Role) -> float | None:
     return errors["rmse_k"] if errors else None
 
 
+def run_errors(document: DiagnosisDocument, role: Role) -> dict[str, tuple[float | None, float | None]]:
+    """Return the errors of free runs before and after, by run [K]."""
+    before, after = (side["per_run"] if (side := document["gap"][when][role]) else {} for when in WHENS)
+    return {
+        name: (errors["rmse_k"], after[name]["rmse_k"] if name in after else None)
+        for name, errors in before.items()
+    }
+
+
 def shrink(document: DiagnosisDocument, role: Role) -> float | None:
     """Share of the gap to the noise floor that is closed; None where there is no gap, or it is not known."""
     floor = document["gap"]["noise_floor"][role]

@@ -279,11 +279,6 @@ def test_any_run_can_be_drawn(rows: int, value: float | None, recwarn: pytest.Wa
     assert [str(one.message) for one in recwarn] == []
 
 
-def test_a_series_is_as_long_as_its_times() -> None:
-    with pytest.raises(DataError, match=r"report: a.csv: fan_on: shape \(3,\) for times of shape \(4,\)"):
-        Trace("a.csv", "train", np.arange(4.0), inputs={"fan_on": np.zeros(3)})
-
-
 def test_of_a_long_run_the_worst_part_is_shown() -> None:
     time_s = 60.0 * np.arange(101)
     before = np.where((time_s >= 2400.0) & (time_s < 3000.0), 22.0, 20.0)
