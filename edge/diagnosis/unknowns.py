@@ -121,12 +121,7 @@ def _linear(place: Place, value: Value, parameter: EffectParameter, factor: floa
     table = EFFECTS[place[1]].parameter(place[2])
     usual = (table.high - table.low) * min(1.0, factor)
     scale = TEMPERATURE_K if parameter.unit == "°C" else abs(parameter.start) or 0.1 * usual
-    if value.rel_sd is None:
-        sd = LINEAR_PRIOR_SHARE * usual
-        return UnknownValue(
-            place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale
-        )
-    sd = max(abs(value.rel_sd * value.value), 1e-9)
+    sd = LINEAR_PRIOR_SHARE * usual if value.rel_sd is None else max(abs(value.rel_sd * value.value), 1e-9)
     return UnknownValue(place, parameter.low, parameter.high, False, scale, value.value / scale, sd / scale)
 
 
