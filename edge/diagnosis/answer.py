@@ -17,7 +17,6 @@ from edge.diagnosis.diagnosis_document import (
     FormulaEntry,
     LeftOutErrors,
     ParameterEntry,
-    PredictionEntry,
     ValueEntry,
     WaterfallStep,
 )
@@ -54,7 +53,13 @@ def answer(
                 "test": found.inputs.noise_k if errors(found.before.test) else None,
             },
         },
-        "predictions": {named.name: _prediction(found, i) for i, named in enumerate(found.data.test)},
+        "predictions": {
+            named.name: {
+                "before": named.at_rows(before.predicted).tolist(),
+                "after": named.at_rows(after.predicted).tolist(),
+            }
+            for named, before, after in zip(found.data.test, found.before.test, found.after.test, strict=True)
+        },
         "next_experiment": None if experiment is None else experiment_document(experiment),
         "seconds": round(found.seconds, 2),
         "waterfall": [_step(names, side) for names, side in found.steps],
@@ -165,14 +170,6 @@ def _step(names: tuple[str, ...], side: Side) -> WaterfallStep:
         "effects": list(names),
         "train_rmse_k": None if train is None else train["rmse_k"],
         "test_rmse_k": None if test is None else test["rmse_k"],
-    }
-
-
-def _prediction(found: Diagnosis, i: int) -> PredictionEntry:
-    named = found.data.test[i]
-    return {
-        "before": named.at_rows(found.before.test[i].predicted).tolist(),
-        "after": named.at_rows(found.after.test[i].predicted).tolist(),
     }
 
 

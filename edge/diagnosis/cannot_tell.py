@@ -30,8 +30,7 @@ def cannot_tell(
     sources : recordings that they come from
     """
     found = [*_trials(bool(tests), sources), *_heater(runs), *_fan(runs), *_room(runs), *_rest(runs)]
-    beyond = (_beyond(name, test, runs) for name, test in tests.items())
-    return (*found, *(sentence for sentences in beyond for sentence in sentences))
+    return (*found, *(text for name, test in tests.items() for text in _beyond(name, test, runs)))
 
 
 def _beyond(name: str, test: RecordedRun, runs: Sequence[RecordedRun]) -> Iterable[str]:

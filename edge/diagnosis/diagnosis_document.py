@@ -31,21 +31,18 @@ Share = Annotated[float | None, Meaning("0..1", 0)]
 Sentence = Annotated[str, Meaning("a sentence")]
 
 
-class ParameterEntry(TypedDict):
-    """A fitted parameter of an effect."""
-
-    value: Annotated[float, Meaning("in `unit`")]
-    low: Bound
-    high: Bound
-    unit: str
-
-
 class ValueEntry(TypedDict):
     """A value of the twin file."""
 
-    value: Annotated[float, Meaning("in the unit of the twin file")]
+    value: Annotated[float, Meaning("in `unit`, or in the unit of the twin file")]
     low: Bound
     high: Bound
+
+
+class ParameterEntry(ValueEntry):
+    """A fitted parameter of an effect."""
+
+    unit: str
 
 
 class EffectEntry(TypedDict):

@@ -8,7 +8,6 @@ if found.twin is not None:
 """
 
 import html
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +36,6 @@ from edge.formats.table import Table
 from edge.twin.twin_file import TwinFile, read_twin_file, write_twin_file
 
 Floats = NDArray[np.float64]
-NEEDED = [key for key in REQUIRED if key not in OPTION_WITHOUT]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +124,7 @@ class DiagnosisResult:
     @property
     def names(self) -> dict[str, float]:
         """Return the missing effects and the probability that each is one, most important first."""
-        known = {item["name"]: item.get("probability") for item in self.document["effects"]}
-        return {name: math.nan if share is None else share for name, share in known.items()}
+        return {effect.name: effect.probability for effect in self.diagnosis.verdict.effects}
 
     @property
     def twin(self) -> Twin | None:
@@ -171,7 +168,8 @@ def diagnose(
 
 def _complete(run: Run) -> run_file.RecordedRun:
     """Return the recording with facts that say what was not recorded. Errors: DataError"""
-    if missing := [key for key in NEEDED if key not in run.content.columns]:
+    known = {*run.content.columns, *OPTION_WITHOUT}
+    if missing := [key for key in REQUIRED if key not in known]:
         raise DataError(f"{run.name}: {missing[0]}: missing")
     return absence_facts(run.content)
 

@@ -76,7 +76,7 @@ def clock(seconds: float) -> str:
 
 def duration(seconds: float) -> str:
     """`45 s`, `30 min`, `2.5 h`, `14 d`."""
-    for length_s, unit in ((172800.0, "d"), (7200.0, "h"), (120.0, "min")):
-        if seconds >= length_s:
-            return f"{number(seconds / {'d': 86400.0, 'h': 3600.0, 'min': 60.0}[unit], 2)} {unit}"
+    for unit_s, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2.0 * unit_s:
+            return f"{number(seconds / unit_s, 2)} {unit}"
     return f"{number(seconds, 2)} s"

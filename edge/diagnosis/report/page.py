@@ -94,8 +94,7 @@ def _where(document: DiagnosisDocument, figures: Figures | None) -> Iterator[str
         yield bullets(found)
     else:
         yield paragraph("No regime has clearly more of the error than its share of the rows.")
-    effects = [effect for effect in document["effects"] if "without" in effect]
-    if marks := [f"{effect['name']}: {effect['without']}" for effect in effects]:
+    if marks := [f"{own['name']}: {own['without']}" for own in document["effects"] if "without" in own]:
         yield paragraph("The mark of each effect in measured minus twin, as long as the twin lacks it:")
         yield bullets(marks)
     if opened := doors(document):
