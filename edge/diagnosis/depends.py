@@ -45,7 +45,7 @@ def dependences(choice: TwinChoice, handed: TriedTwin) -> tuple[Dependence, ...]
             continue
         errors, value = with_slopes(fit, response[None] / size, folds, runs)
         blocks, _ = block_squares(errors, folds)
-        less = float(np.mean(0.5 * np.log((base + runs.noise_k**2) / (blocks + runs.noise_k**2))))
+        less = float(np.mean(0.5 * np.log((base + choice.noise_k**2) / (blocks + choice.noise_k**2))))
         if less > LESS and (signals not in best or less > best[signals].less):
             best[signals] = Dependence(text, unit, signals, less, float(value[0]) / size)
     return tuple(sorted(best.values(), key=lambda item: -item.less)[:MOST])

@@ -160,7 +160,7 @@ def judge(
             )
         )
     effects.sort(key=lambda item: (-round(item.probability, 2), -item.log_odds))
-    missed = choice.tried[names].fit.rmse_k / choice.runs.noise_k
+    missed = choice.tried[names].fit.rmse_k / choice.noise_k
     depends: tuple[Dependence, ...] = ()
     kind: VerdictKind = "named" if effects else "nothing_missing"
     if not effects and (missed > EXPLAINED or unnamed > LARGE):
@@ -173,12 +173,12 @@ def judge(
 def evidence_of(choice: TwinChoice, names: Names, name: str) -> NameEvidence:
     """Compare a twin with the same without one of its effects."""
     own, less = choice.tried[names], choice.tried[names - {name}]
-    more, error = less.behind(own, choice.runs.noise_k)
+    more, error = less.behind(own, choice.noise_k)
     return NameEvidence(
         more,
         error,
         math.log(less.fit.rmse_k / own.fit.rmse_k),
-        max(0.0, math.log(own.fit.rmse_k / choice.runs.noise_k)),
+        max(0.0, math.log(own.fit.rmse_k / choice.noise_k)),
         own.left_out_k,
         less.left_out_k,
         len(own.left_out),
@@ -222,8 +222,8 @@ def alternatives(choice: TwinChoice, names: Names, name: str) -> dict[str, float
             (other,) = key - names
             if other not in EFFECTS or not choice.pays(key) or choice.is_too_slow(key, other):
                 continue
-            more, error = item.behind(own, choice.runs.noise_k)
-            fits_k = ALIKE * max(own.fit.rmse_k, choice.runs.noise_k)
+            more, error = item.behind(own, choice.noise_k)
+            fits_k = ALIKE * max(own.fit.rmse_k, choice.noise_k)
             if more <= max(CLEARLY * error, MATTERS) and item.fit.rmse_k <= fits_k:
                 found[other] = -more * len(own.left_out)
     return dict(sorted(found.items(), key=lambda pair: -pair[1]))

@@ -1,5 +1,6 @@
-"""Whether a recording begins at rest, in which room, and what noise a reading has."""
+"""Noise of a reading, and whether a recording begins at rest and in which room."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +13,7 @@ USUAL_ROOM_C, ABOVE_K = 24.0, 0.5  # of a run that begins warm: at most, and as 
 STILL_ROWS = 4  # at the begin of a run, that tell whether it rests
 STILL_SHARE, COLD_SHARE = 0.01, 0.1  # of all that the air moves by: so still, so near its coldest
 SDS = 3.0
+SMALLER, OF_SMALLER = 0.6, 0.3966  # share of differences, and what it has for its mean in a normal variable
 RECURS = 3  # times, of a reading in steps
 
 
@@ -31,11 +33,12 @@ def usual_room_c(temp: Floats, is_at_rest: bool) -> float:
 def reading_noise_k(runs: Sequence[RecordedRun]) -> float:
     """Return the noise of a reading as the recordings show it: by second differences, or by its steps.
 
-    Their median leaves out what inputs do. A reading in steps has at least their rounding's error.
+    Their smaller ones leave out what inputs do. A reading in steps has at least their rounding's error; there
+    a median would be a step or nothing, a mean is neither.
     """
     every = [run.columns["temp_air_c"][np.isfinite(run.columns["temp_air_c"])] for run in runs]
-    second = np.concatenate([np.abs(np.diff(known, 2)) for known in every])
-    spread_k = float(np.median(second)) / 0.6745 / 6**0.5
+    second = np.sort(np.concatenate([np.abs(np.diff(known, 2)) for known in every]))
+    spread_k = float(second[: math.ceil(SMALLER * len(second))].mean()) / OF_SMALLER / 6**0.5
     return max(spread_k, _step_k(np.concatenate(every)) / 12**0.5, 1e-3)
 
 

@@ -1,4 +1,4 @@
-"""Where fits begin: one mass from several time constants, and what most boxes have grown on thin rows.
+"""Starts of fits: one mass from several time constants, and what most boxes have, grown on thin rows.
 
 A fit's end depends on its start where rates are unknown by factors of a hundred. Thin rows tell those well
 enough, at little cost.

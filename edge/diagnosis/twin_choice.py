@@ -92,6 +92,11 @@ class TwinChoice:
     tried: dict[Names, TriedTwin] = field(default_factory=dict)
     screened: dict[Names, tuple[FittedTwin, float]] = field(default_factory=dict)
 
+    @property
+    def noise_k(self) -> float:
+        """Noise of a reading [K]: at most what a fitted twin misses."""
+        return min([self.runs.noise_k, *(item.fit.rmse_k for item in self.tried.values())])
+
     def attempt(self, starts: Iterable[tuple[Names, Begun | FittedTwin]]) -> None:
         """Fit sets that were not yet, and forecast left-out rows; of several starts the best one is kept."""
         new = [(names, start) for names, start in starts if names not in self.tried]
@@ -131,17 +136,17 @@ class TwinChoice:
         first = min(items, key=lambda item: item.left_out_k)
         near = []
         for item in items:
-            more, error = item.behind(first, self.runs.noise_k)
+            more, error = item.behind(first, self.noise_k)
             fitted = float(np.log(item.fit.rmse_k / first.fit.rmse_k)) if first.fit.rmse_k > 0.0 else 0.0
             if not (more > max(CLEARLY * error, MATTERS) or log_odds(more, error, fitted) > 0.0):
                 near.append(item)
         closest = min(item.fit.rmse_k for item in near)
-        close = [item for item in near if item.fit.rmse_k <= AS_CLOSE * max(closest, self.runs.noise_k)]
+        close = [item for item in near if item.fit.rmse_k <= AS_CLOSE * max(closest, self.noise_k)]
         least = min(self._size(item) for item in close)
         small = [item for item in close if self._size(item) == least]
         top = min(small, key=lambda item: item.left_out_k)
         # What a log hardly tells apart is called by what most boxes have.
-        alike = [item for item in small if item.behind(top, self.runs.noise_k)[0] <= MATTERS]
+        alike = [item for item in small if item.behind(top, self.noise_k)[0] <= MATTERS]
         return max(alike, key=lambda item: (_commonness(item.added), -item.left_out_k)).added
 
     def _size(self, item: TriedTwin) -> int:
@@ -189,14 +194,14 @@ class TwinChoice:
     def close_gap(self, names: Names) -> Names:
         """Add what has no name where left-out rows are forecast much better with it."""
         for _ in range(MOST_UNNAMED):
-            if self.tried[names].fit.rmse_k <= EXPLAINED * self.runs.noise_k:
+            if self.tried[names].fit.rmse_k <= EXPLAINED * self.noise_k:
                 break
             also = [name for name in nameless_of(self.file, self.runs) if name not in names]
             self._try_one_more(names, also, len(names) + 1)
             own = self.tried[names]
             more = [names | {name} for name in also if names | {name} in self.tried]
             best = min(more, key=lambda key: self.tried[key].left_out_k, default=names)
-            gain, error = own.behind(self.tried[best], self.runs.noise_k)
+            gain, error = own.behind(self.tried[best], self.noise_k)
             if not gain > max(CLEARLY * error, MUCH):
                 break
             names = best

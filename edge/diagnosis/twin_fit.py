@@ -308,17 +308,17 @@ def fit_twins(
             task.slopes = item.simulated.slopes
             _take(task, item.simulated, runs.noise_k, last=False)
     for number in range(iterations + 1):
-        for task, found in _simulated([task for task in tasks if not task.done], runs):
+        for task, found in _places([task for task in tasks if not task.done], runs):
             _take(task, found, runs.noise_k, last=number == iterations)
     stale = [task for task in tasks if not task.exact and task.slopes is None]
     for task in stale:
         task.refresh = True
-    for task, found in _simulated(stale, runs):
+    for task, found in _places(stale, runs):
         task.here = found
     return [_finish(task, runs) for task in tasks]
 
 
-def _simulated(tasks: Sequence[_Task], runs: FitRuns) -> Iterator[tuple[_Task, Simulated]]:
+def _places(tasks: Sequence[_Task], runs: FitRuns) -> Iterator[tuple[_Task, Simulated]]:
     """Yield each task with what its place shows, with slopes."""
     for whole in (True, False):
         now = [task for task in tasks if whole is (task.refresh and task.slopes is None)]
