@@ -14,6 +14,7 @@ STILL_ROWS = 4  # at the begin of a run, that tell whether it rests
 STILL_SHARE, COLD_SHARE = 0.01, 0.1  # of all that the air moves by: so still, so near its coldest
 SDS = 3.0
 SMALLER, OF_SMALLER = 0.6, 0.3966  # share of differences, and what it has for its mean in a normal variable
+LEAST_K = 1e-3  # of a reading's noise: what is declared as none
 RECURS = 3  # times, of a reading in steps
 
 
@@ -39,7 +40,7 @@ def reading_noise_k(runs: Sequence[RecordedRun]) -> float:
     every = [run.columns["temp_air_c"][np.isfinite(run.columns["temp_air_c"])] for run in runs]
     second = np.sort(np.concatenate([np.abs(np.diff(known, 2)) for known in every]))
     spread_k = float(second[: math.ceil(SMALLER * len(second))].mean()) / OF_SMALLER / 6**0.5
-    return max(spread_k, _step_k(np.concatenate(every)) / 12**0.5, 1e-3)
+    return max(spread_k, _step_k(np.concatenate(every)) / 12**0.5, LEAST_K)
 
 
 def _step_k(known: Floats) -> float:

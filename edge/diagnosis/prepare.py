@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.diagnosis.baselines import LOSING, STORING
-from edge.diagnosis.noise import reading_noise_k, rests, usual_room_c
+from edge.diagnosis.noise import LEAST_K, reading_noise_k, rests, usual_room_c
 from edge.diagnosis.progress import Telling
 from edge.diagnosis.readings import spikes, stuck_readings, wrong_first
 from edge.diagnosis.runs import DiagnosisRuns, NamedRun
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 RATIOS = np.logspace(-3.0, 2.0, 16)  # wander between two rows over the noise of a reading, variances
 LEAST_ROWS = 10
-LEAST_K, LEAST_SD = 1e-3, 1e-4  # of a reading's noise, and of a power's: what is declared as none
+LEAST_SD = 1e-4  # of a power: what is declared as none
 
 
 def smooth(ambient: Floats) -> Floats:

@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.diagnosis.noise import LEAST_K
 from edge.diagnosis.twin_fit import Begun, FitRuns, FittedTwin, Mask, begun, fit_twins, left_out_errors
 from edge.diagnosis.unknowns import with_effect
 from edge.twin.effects.effect import BlindRuns, Offer, ParameterKind
@@ -95,7 +96,8 @@ class TwinChoice:
     @property
     def noise_k(self) -> float:
         """Noise of a reading [K]: at most what a fitted twin misses."""
-        return min([self.runs.noise_k, *(item.fit.rmse_k for item in self.tried.values())])
+        least_k = min(item.fit.rmse_k for item in self.tried.values())
+        return max(min(self.runs.noise_k, least_k), LEAST_K)
 
     def attempt(self, starts: Iterable[tuple[Names, Begun | FittedTwin]]) -> None:
         """Fit sets that were not yet, and forecast left-out rows; of several starts the best one is kept."""
