@@ -30,6 +30,10 @@ FIRST_POWER = 0.3  # of the heater's power that its element may hold at first
 POWER_SD, HEAT_SD = 0.01, 0.01  # of a run's power, and of a heat through all of it: shares of the heater's
 NEVER_SD = 1e-6  # of what a run of its own must not tell
 RUNAWAY_K = 1e4
+MOST_NUMBERS, STARTS = (
+    1e6,
+    8,
+)  # of what is simulated at once: rows of responses, about so many to a twin's starts
 LONGEST_SHARE = 0.1  # of a run, over which errors are taken to go together
 
 
@@ -139,6 +143,11 @@ def simulate(
     tasks: Sequence[tuple[TwinFile, Sequence[UnknownValue], Floats]], runs: FitRuns, slopes: bool = True
 ) -> list[Simulated]:
     """Run twins at coordinates. slopes : whether those are wanted, which take most of the time"""
+    each = max((len(free) if slopes else 0) for _, free, _ in tasks) + STARTS
+    at_once = max(1, int(MOST_NUMBERS / (each * runs.seen.size)))
+    if len(tasks) > at_once:  # a small machine lacks the memory for all
+        some = (tasks[i : i + at_once] for i in range(0, len(tasks), at_once))
+        return [found for part in some for found in simulate(part, runs, slopes)]
     batch, wanted, parts = runs.batch, list[EnsembleRun](), list[tuple[Floats, Floats, Floats, Floats]]()
     first_c, room_c = runs.first_c, batch.ambient[:, 0]
     for file, free, x in tasks:
