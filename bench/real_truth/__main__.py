@@ -116,7 +116,9 @@ def peer(python: str, script: Path, case: Path, folder: Path) -> tuple[str, floa
     runs = [("test", named) for named in data.test]
     if tests:
         runs += [("train", named) for named in data.train]
-    rest = all(rests(_seen(named.run.columns["temp_air_c"]), noise_k) for _, named in runs)
+    rest = all(
+        rests(named.run.columns["temp_air_c"], named.run.columns["heater_duty"], noise_k) for _, named in runs
+    )
     for i, (role, named) in enumerate(runs):
         facts = "# at_rest: yes\n" if rest else ""
         facts += "" if named.from_s is None else f"# validate_from_s: {named.from_s:g}\n"
@@ -128,10 +130,6 @@ def peer(python: str, script: Path, case: Path, folder: Path) -> tuple[str, floa
     if said is None:
         raise DataError(f"{script.name}: {found.stderr.strip().splitlines()[-1:]}")
     return said[1], float(said[2])
-
-
-def _seen(values: Floats) -> Floats:
-    return values[np.isfinite(values)]
 
 
 def _csv(columns: Mapping[str, Floats]) -> str:

@@ -57,7 +57,7 @@ def _forecast(fit: FittedTwin, named: NamedRun, known: PreparedRuns) -> RunForec
     place = known.names.index(own) if own in known.names else None
     temp = named.run.columns["temp_air_c"]
     first, size = int(np.isfinite(temp).argmax()), len(fit.file.twin().states)
-    is_at_rest = rests(temp[np.isfinite(temp)], known.noise_k)
+    is_at_rest = rests(temp, hold(named.run.columns["heater_duty"]), known.noise_k)
     if has_column(named.run, "temp_ambient_c"):
         room_c = over_rows(hold(named.run.columns["temp_ambient_c"])[None])[0]
     elif place is not None and known.open_rooms[place]:
@@ -122,7 +122,7 @@ def _start(
 ) -> tuple[Floats, int]:
     """Return the state of a run's first row, and the last row that told of it."""
     temp = columns["temp_air"]
-    is_at_rest = rests(temp[np.isfinite(temp)], noise_k)
+    is_at_rest = rests(temp, columns["heater_duty"], noise_k)
     seen = np.isfinite(temp[first + 1 :])
     if named.from_s is not None:
         seen &= named.run.columns["time_s"][first + 1 :] < named.from_s

@@ -12,17 +12,30 @@ Floats = NDArray[np.float64]
 USUAL_ROOM_C, ABOVE_K = 24.0, 0.5  # of a run that begins warm: at most, and as much below its first reading
 STILL_ROWS = 4  # at the begin of a run, that tell whether it rests
 STILL_SHARE, COLD_SHARE = 0.01, 0.1  # of all that the air moves by: so still, so near its coldest
+SAME_DUTY = 0.02
 SDS = 3.0
 SMALLER, OF_SMALLER = 0.6, 0.3966  # share of differences, and what it has for its mean in a normal variable
 LEAST_K = 1e-3  # of a reading's noise: what is declared as none
 RECURS = 3  # times, of a reading in steps
 
 
-def rests(known: Floats, noise_k: float) -> bool:
-    """Return whether the first readings stand still near the coldest of all. known : readings in a row"""
+def rests(temp: Floats, duty: Floats, noise_k: float) -> bool:
+    """Return whether a run begins in balance with its room: still, near its coldest, and not held there.
+
+    temp : [N] [°C], NaN where not measured; duty : [N] or [N - 1]
+    """
+    seen = np.isfinite(temp)
+    known = temp[seen]
     moved_k, first = float(np.ptp(known)), known[:STILL_ROWS]
-    is_still = float(np.ptp(first)) <= max(STILL_SHARE * moved_k, SDS * noise_k)
-    return is_still and float(first[0]) <= float(known.min()) + max(COLD_SHARE * moved_k, SDS * noise_k)
+    still_k, cold_k = (max(share * moved_k, SDS * noise_k) for share in (STILL_SHARE, COLD_SHARE))
+    if float(np.ptp(first)) > still_k or float(first[0]) > float(known.min()) + cold_k:
+        return False
+    # An air that heat does not warm before the heat changes is at a working point.
+    begin = int(seen.argmax())
+    power = duty[begin:]
+    steady = int(np.append(np.abs(power - power[0]) > SAME_DUTY, True).argmax())
+    is_warmed = float(np.nanmax(temp[begin:][: steady + 1])) - float(first[0]) > still_k
+    return is_warmed or float(power[0]) <= SAME_DUTY
 
 
 def usual_room_c(temp: Floats, is_at_rest: bool) -> float:

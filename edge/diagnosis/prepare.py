@@ -128,7 +128,7 @@ def prepare(file: TwinFile, data: DiagnosisRuns, telling: Telling = lambda text:
         temp[first, 0] = np.nan
     runs = replace(runs, temp=temp)
     noise_k = noise_of(file, data)
-    resting = np.array([rests(temp[np.isfinite(temp)], noise_k) for temp in runs.temp])
+    resting = np.array([rests(*run, noise_k) for run in zip(runs.temp, runs.duty, strict=True)])
     guessed = np.asarray(np.isnan(runs.ambient).any(axis=1))
     ambient = runs.ambient.copy()
     for i in np.flatnonzero(guessed):

@@ -256,7 +256,7 @@ def test_days_are_counted_from_the_first_run_unless_the_file_says() -> None:
 )
 def test_a_run_that_begins_hot_is_in_no_hot_room(temps: list[float], room_c: float, is_at_rest: bool) -> None:
     temp = np.array(temps)
-    assert rests(temp[np.isfinite(temp)], 0.05) == is_at_rest
+    assert rests(temp, np.zeros(len(temp)), 0.05) == is_at_rest
     assert usual_room_c(temp, is_at_rest) == room_c
 
 
@@ -315,4 +315,13 @@ def test_noise_is_that_of_readings_and_at_least_their_rounding() -> None:
     ],
 )
 def test_a_run_that_begins_at_rest_is_recognised(temp: list[float], is_resting: bool) -> None:
-    assert rests(np.array(temp), 0.01) is is_resting
+    assert rests(np.array(temp), np.zeros(len(temp)), 0.01) is is_resting
+
+
+@pytest.mark.parametrize(("first", "is_resting"), [(0.0, True), (0.2, False), (0.8, True)])
+def test_a_run_that_is_held_at_a_working_point_does_not_rest(first: float, is_resting: bool) -> None:
+    """What is heated from the first row on and gets warmer rested before."""
+    duty = np.where(np.arange(60) < 20, first, 0.8)
+    begin = 3 if first == 0.8 else 20
+    temp = 30.0 + 0.3 * np.maximum(np.arange(60) - begin, 0)
+    assert rests(temp, duty, 0.05) is is_resting
