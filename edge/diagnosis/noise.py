@@ -12,7 +12,11 @@ Floats = NDArray[np.float64]
 USUAL_ROOM_C, ABOVE_K = 24.0, 0.5  # of a run that begins warm: at most, and as much below its first reading
 STILL_ROWS = 4  # at the begin of a run, that tell whether it rests
 STILL_SHARE, COLD_SHARE = 0.01, 0.1  # of all that the air moves by: so still, so near its coldest
-SAME_DUTY = 0.02
+HELD_ROWS, HELD_DUTY, HELD_SHARE = (
+    20,
+    0.02,
+    0.8,
+)  # of a working point: rows, heat, and share of what warms more
 SDS = 3.0
 SMALLER, OF_SMALLER = 0.6, 0.3966  # share of differences, and what it has for its mean in a normal variable
 LEAST_K = 1e-3  # of a reading's noise: what is declared as none
@@ -30,12 +34,14 @@ def rests(temp: Floats, duty: Floats, noise_k: float) -> bool:
     still_k, cold_k = (max(share * moved_k, SDS * noise_k) for share in (STILL_SHARE, COLD_SHARE))
     if float(np.ptp(first)) > still_k or float(first[0]) > float(known.min()) + cold_k:
         return False
-    # An air that heat does not warm before the heat changes is at a working point.
+    # What is warmed only by more heat than it had at first was held by that at a working point.
     begin = int(seen.argmax())
-    power = duty[begin:]
-    steady = int(np.append(np.abs(power - power[0]) > SAME_DUTY, True).argmax())
-    is_warmed = float(np.nanmax(temp[begin:][: steady + 1])) - float(first[0]) > still_k
-    return is_warmed or float(power[0]) <= SAME_DUTY
+    warmer = np.nan_to_num(temp[begin:], nan=-np.inf) > float(first[0]) + still_k
+    still = int(np.append(warmer, True).argmax())
+    at_first, later = duty[begin:][: still // 2], duty[begin:][still // 2 : still + still // 2]
+    if still < HELD_ROWS or float(at_first[:STILL_ROWS].min()) <= HELD_DUTY:
+        return True
+    return bool(warmer.any() and at_first.mean() > HELD_SHARE * later.mean())
 
 
 def usual_room_c(temp: Floats, is_at_rest: bool) -> float:
