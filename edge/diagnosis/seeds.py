@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from edge.diagnosis.baselines import LOSING, STORING
 from edge.diagnosis.twin_choice import FINELY, Names, TwinChoice, candidates_of, is_slow
 from edge.diagnosis.twin_fit import FitRuns, FittedTwin, begun, fit_twins
-from edge.twin.effects.library import EFFECTS
 from edge.twin.run_batch import RunBatch
 from edge.twin.twin_file import Place, TwinFile
 
@@ -75,7 +74,7 @@ def _starts(file: TwinFile, runs: FitRuns) -> Iterator[TwinFile]:
 
 
 def _inside(file: TwinFile, place: Place, value: float) -> float:
-    possible = file.scale.possible(EFFECTS[place[1]].parameter(place[2]))
+    possible = file.possible(place)
     return min(max(value, possible.low), possible.high)
 
 

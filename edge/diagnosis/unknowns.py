@@ -107,7 +107,7 @@ def _unknown(file: TwinFile, place: Place, value: Value) -> UnknownValue:
         low, high = (share * value.value for share in GEOMETRY_RANGE)
         sd = GEOMETRY_PRIOR_SD if value.rel_sd is None else value.rel_sd
         return UnknownValue(place, low, high, True, 1.0, float(np.log(value.value)), sd)
-    parameter = file.scale.possible(EFFECTS[place[1]].parameter(place[2]))
+    parameter = file.possible(place)
     if parameter.low > 0.0:
         sd = LOG_PRIOR_SD if value.rel_sd is None else value.rel_sd
         begun = min(max(value.value, parameter.low), parameter.high)

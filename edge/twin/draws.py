@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DataError
-from edge.twin.effects.library import EFFECTS, acting_effects
+from edge.twin.effects.library import acting_effects
 from edge.twin.twin_file import Place, TwinFile
 from edge.twin.value import SDS_95, Value
 
@@ -133,5 +133,5 @@ def _possible(file: TwinFile, place: Place, value: float) -> float:
     if place[0] == "geometry":
         least: Mapping[Place, Value] = file.values()
         return max(value, 0.01 * least[place].value)
-    parameter = file.scale.possible(EFFECTS[place[1]].parameter(place[2]))
+    parameter = file.possible(place)
     return min(max(value, parameter.low), parameter.high)

@@ -81,6 +81,11 @@ class TwinFile:
         """Return an effect's parameter with the start and the range for this greenhouse."""
         return self.scale.usual(EFFECTS[place[1]].parameter(place[2]))
 
+    def possible(self, place: Place) -> EffectParameter:
+        """Return an effect's parameter with the range that a twin may have, whatever its answer."""
+        scale = replace(self, answer_s=None).scale
+        return scale.possible(EFFECTS[place[1]].parameter(place[2]))
+
     def values(self) -> dict[Place, Value]:
         """Every value by its place, geometry first."""
         found: dict[Place, Value] = {("geometry", name): value for name, value in self.geometry.items()}

@@ -9,6 +9,7 @@ import pytest
 from edge.diagnosis.prepare import over_rows
 from edge.diagnosis.twin_choice import FIRST_ROWS, WHOLE_RUNS, candidates_of, folds_of
 from edge.diagnosis.twin_fit import FitRuns, FittedTwin, begun, fit_twins, left_out_errors, together
+from edge.diagnosis.unknowns import place_unknowns, unknowns, with_usual
 from edge.formats.run_file import cut
 from edge.twin.run_batch import batch_runs
 from edge.twin.twin_file import TwinFile
@@ -145,3 +146,12 @@ def test_an_effect_whose_input_never_moved_is_no_candidate(still: str, gone: set
     )
     assert gone <= set(candidates_of(twin_file(), plain))
     assert gone & set(candidates_of(twin_file(), held)) == set()
+
+
+@pytest.mark.parametrize("answer_s", [None, 1.0, 1e6])
+@pytest.mark.parametrize("name", ["soil_mass", "wall_mass", "heater_lag", "infiltration", "imperfect_mixing"])
+def test_a_search_never_leaves_what_a_twin_may_have(name: str, answer_s: float | None) -> None:
+    file = with_usual(replace(twin_file(), answer_s=answer_s), name)
+    free = unknowns(file)
+    for end in (0, 1):
+        place_unknowns(file, free, np.array([item.bounds[end] for item in free])).twin()

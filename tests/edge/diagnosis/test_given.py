@@ -320,7 +320,7 @@ def test_a_run_that_begins_at_rest_is_recognised(temp: list[float], is_resting: 
 
 @pytest.mark.parametrize(("first", "is_resting"), [(0.0, True), (0.2, False), (0.8, True)])
 def test_a_run_that_is_held_at_a_working_point_does_not_rest(first: float, is_resting: bool) -> None:
-    """What is late and gets warmer by the heat that it had from the first row on rested before."""
+    """A late box that gets warmer by the heat of its first row rested before."""
     duty = np.where(np.arange(80) < 30, first, 0.8)
     temp = 30.0 + 0.3 * np.maximum(np.arange(80) - 30, 0)
     assert rests(temp, duty, 0.05) is is_resting
