@@ -46,7 +46,7 @@ class NameEvidence:
 
     more, error : how much more left-out rows are missed without it, a logarithm, and its standard error
     fitted : the same of rows that were fitted; unexplained : of what the twin misses over a reading's noise
-    with_k, without_k : errors over left-out rows [K]; blocks : of them
+    blocks : of left-out rows
     is_slow : a lag or a body that stores heat, which every box has
     """
 
@@ -54,8 +54,6 @@ class NameEvidence:
     error: float
     fitted: float
     unexplained: float
-    with_k: float
-    without_k: float
     blocks: int
     is_slow: bool
 
@@ -85,7 +83,6 @@ class MissingEffect:
     log_odds: float
     probability: float
     parameters: Mapping[str, Value]
-    evidence: NameEvidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +143,10 @@ def judge(
         elif common := [other for other in others if not is_name(other)]:
             against.append(f"it can't be told from {common[0]}, which is in every warm box")
             unnamed = max(unnamed, evidence.more)
+        probability = evidence.probability / (1.0 + (_rivals(name, others) if is_name(name) else 0.0))
+        if not against and probability < LIKELY:
+            against.append(f"it can't be told from {' or '.join(others)}")
+            unnamed = max(unnamed, evidence.more)
         if against:
             doubtful.append(DoubtfulName(name, tuple(against)))
             continue
@@ -154,9 +155,8 @@ def judge(
                 name,
                 others,
                 evidence.more * evidence.blocks,
-                evidence.probability,
+                probability,
                 values_of(choice.tried[names].fit, name),
-                evidence,
             )
         )
     effects.sort(key=lambda item: (-round(item.probability, 2), -item.log_odds))
@@ -179,11 +179,23 @@ def evidence_of(choice: TwinChoice, names: Names, name: str) -> NameEvidence:
         error,
         math.log(less.fit.rmse_k / own.fit.rmse_k),
         max(0.0, math.log(own.fit.rmse_k / choice.noise_k)),
-        own.left_out_k,
-        less.left_out_k,
         len(own.left_out),
         is_slow(name),
     )
+
+
+def _rivals(name: str, others: Mapping[str, float]) -> float:
+    """Return how likely other effects are beside a name that is 1. others : their log odds against it
+
+    Those of its kind do not count: late or stored heat, air that a fan moves, what the same runs would hide.
+    """
+    return sum(math.exp(min(odds, 0.0)) for key, odds in others.items() if not _kinds(name) & _kinds(key))
+
+
+def _kinds(name: str) -> set[str]:
+    effect = EFFECTS[name]
+    late = {"late"} if is_slow(name) or effect.common else set[str]()
+    return {item.runs.name for item in effect.hidden_by} | late | ({"flow"} if effect.by_flow else set())
 
 
 def is_name(name: str) -> bool:

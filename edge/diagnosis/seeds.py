@@ -54,7 +54,7 @@ def _starts(file: TwinFile, runs: FitRuns) -> Iterator[TwinFile]:
     twin, batch = file.twin(), runs.batch
     air_j_k, power_w = twin.geometry.air_capacity_j_k, twin.geometry.heater_max_w
     rows = int(runs.seen.sum(axis=1).max())
-    values, to_fit = file.values(), set(file.to_fit())
+    values = file.values()
     for times in ANSWERS:
         left = float(np.exp(-times / rows))
         warm = np.zeros(len(batch.duty))
@@ -62,14 +62,10 @@ def _starts(file: TwinFile, runs: FitRuns) -> Iterator[TwinFile]:
         swing = float(np.ptp(level)) * power_w
         capacity_j_k = swing / max(float(np.nanmax(batch.temp) - np.nanmin(batch.temp)), runs.noise_k)
         loss_w_k = capacity_j_k * times / (rows * file.sample_s)
-        places: dict[Place, float] = {}
-        for place in to_fit:
-            if place[1] == STORING:
-                places[place] = capacity_j_k / air_j_k
-            elif place[1] == LOSING:
-                places[place] = loss_w_k
+        guesses = {STORING: capacity_j_k / air_j_k, LOSING: loss_w_k}
+        places = [place for place in file.to_fit() if place[1] in guesses]
         yield file.with_values(
-            {place: replace(values[place], value=_inside(file, place, x)) for place, x in places.items()}
+            {place: replace(values[place], value=_inside(file, place, guesses[place[1]])) for place in places}
         )
 
 

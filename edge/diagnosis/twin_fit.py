@@ -30,10 +30,7 @@ FIRST_POWER = 0.3  # of the heater's power that its element may hold at first
 POWER_SD, HEAT_SD = 0.01, 0.01  # of a run's power, and of a heat through all of it: shares of the heater's
 NEVER_SD = 1e-6  # of what a run of its own must not tell
 RUNAWAY_K = 1e4
-MOST_NUMBERS, STARTS = (
-    1e6,
-    8,
-)  # of what is simulated at once: rows of responses, about so many to a twin's starts
+MOST_NUMBERS, STARTS = 1e6, 8  # of responses at once; about so many are to a twin's starts
 LONGEST_SHARE = 0.1  # of a run, over which errors are taken to go together
 
 
