@@ -12,11 +12,8 @@ Floats = NDArray[np.float64]
 USUAL_ROOM_C, ABOVE_K = 24.0, 0.5  # of a run that begins warm: at most, and as much below its first reading
 STILL_ROWS = 4  # at the begin of a run, that tell whether it rests
 STILL_SHARE, COLD_SHARE = 0.01, 0.1  # of all that the air moves by: so still, so near its coldest
-HELD_ROWS, HELD_DUTY, HELD_SHARE = (
-    20,
-    0.02,
-    0.8,
-)  # of a working point: rows, heat, and share of what warms more
+# Of a working point: rows that it lasts, duty that holds it, and that as a share of the duty that warms it.
+HELD_ROWS, HELD_DUTY, HELD_SHARE = 20, 0.02, 0.8
 SDS = 3.0
 SMALLER, OF_SMALLER = 0.6, 0.3966  # share of differences, and what it has for its mean in a normal variable
 LEAST_K = 1e-3  # of a reading's noise: what is declared as none

@@ -102,7 +102,8 @@ class PreparedRuns:
     @property
     def fit_runs(self) -> FitRuns:
         """The rows that twins are fitted to."""
-        sd = _power_sd(self.given)
+        power = self.given.nuisance.get("heater_power_run_sd")
+        sd = POWER_SD if power is None else max(power, LEAST_SD)
         return FitRuns(self.runs, self.noise_k, self.rests, self.open_rooms, sd)
 
     @property
@@ -136,28 +137,13 @@ def prepare(file: TwinFile, data: DiagnosisRuns, telling: Telling = lambda text:
     if not guessed.all():
         ambient[~guessed] = over_rows(ambient[~guessed])
     runs = replace(runs, ambient=ambient)
-    fit_runs = FitRuns(runs, noise_k, resting, guessed, _power_sd(file))
-    if {place[1] for place in work.to_fit()} & {
-        LOSING,
-        STORING,
-    } and runs.duty.any():  # else nothing tells watts
+    wrong_count = int(wrong.sum())
+    known = PreparedRuns(file, work, data.train, runs, noise_k, resting, guessed, wrong_count)
+    is_open = any(place[1] in (LOSING, STORING) for place in work.to_fit())
+    if is_open and runs.duty.any():  # without heat no row says how many watts a loss is
         telling("one mass")
-        work = first_twin(work, fit_runs)
-    return PreparedRuns(
-        file,
-        replace(work, answer_s=_answer_s(work)),
-        data.train,
-        runs,
-        noise_k,
-        resting,
-        guessed,
-        int(wrong.sum()),
-    )
-
-
-def _power_sd(file: TwinFile) -> float:
-    power = file.nuisance.get("heater_power_run_sd")
-    return POWER_SD if power is None else max(power, LEAST_SD)
+        work = first_twin(work, known.fit_runs)
+    return replace(known, file=replace(work, answer_s=_answer_s(work)))
 
 
 def _answer_s(file: TwinFile) -> float | None:

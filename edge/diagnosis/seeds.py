@@ -26,10 +26,10 @@ def first_twin(file: TwinFile, runs: FitRuns) -> TwinFile:
     """Return a file with its open values where they fit best, of several starts."""
     if not file.to_fit():
         return file
-    thin = _thin(runs)
-    coarse = replace(file, sample_s=file.sample_s * thin[1])
-    starts = [begun(each) for each in _starts(coarse, thin[0])]
-    best = min(fit_twins(starts, thin[0], FINELY), key=lambda fit: fit.rmse_k)
+    rows, thin = _thin(runs)
+    coarse = replace(file, sample_s=file.sample_s * thin)
+    starts = [begun(each) for each in _starts(coarse, rows)]
+    best = min(fit_twins(starts, rows, FINELY), key=lambda fit: fit.rmse_k)
     values, found = file.values(), best.file.values()
     return file.with_values(
         {place: replace(values[place], value=found[place].value) for place in file.to_fit()}
